@@ -4,6 +4,10 @@ use crate::time::Instant;
 
 /// A clock for the loops of [`io`](crate::io): it never runs backwards.
 ///
+/// On CAN its steps are to be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
+/// By a coarser one answers come sooner than any drive sends them and are strays, so that nobody seems to answer: set
+/// that to 0 for such a clock.
+///
 /// ```
 /// use myactuator_protocol_core::io::Clock;
 /// use myactuator_protocol_core::time::Instant;

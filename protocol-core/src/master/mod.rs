@@ -12,7 +12,7 @@
 //! answered: for [`Config::late_window`] such a reply is expected too, and until it has come or cannot come
 //! any more, no equal question is put to that motor. Other questions are. After a broadcast, requests of
 //! its kind wait likewise for the motors that have not answered it, and the next broadcast waits for all.
-//! Every reply is held against this one list; what is not in it is an active report, or a stray.
+//! Every reply is held against what is in flight and what may come late; what is neither is an active report, or a stray.
 //!
 //! # What stops, and what a confirmation means
 //! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is

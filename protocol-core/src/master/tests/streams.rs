@@ -153,6 +153,21 @@ fn the_first_set_point_on_any_clock_and_after_any_pause_is_sent() {
     }
 }
 
+/// Feedback of either may come, and would be taken for the answer to a request of its kind.
+#[test]
+fn a_stream_that_changes_its_kind_is_of_both_until_the_last_of_the_old_one_is_over() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let streamed = |opcode| Some(RequestError::Streamed(opcode));
+    assert_eq!(master.request(id(1), torque(1.0)).err(), streamed(Opcode::Torque));
+    assert_eq!(master.request(id(1), motion()).err(), streamed(Opcode::Motion));
+    reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
+    assert_eq!(master.request(id(1), motion()).err(), streamed(Opcode::Motion));
+    let _asked = master.request(id(1), torque(1.0)).unwrap();
+}
+
 #[test]
 fn the_newest_feedback_of_a_stream_is_kept() {
     let mut master = Master::<2>::new(Config::CAN);
