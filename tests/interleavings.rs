@@ -111,6 +111,15 @@ const ENDS: Bounds = Bounds {
     ..KINDS
 };
 
+/// Stops that are lifted and called again, with motion between them and without.
+const LIFTS: Bounds = Bounds {
+    name: "stops that are lifted",
+    calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::Lift],
+    most_calls: 4,
+    faults: 1,
+    ..KINDS
+};
+
 /// What lies in mailboxes while the bus is cut.
 const CUT: Bounds = Bounds {
     name: "a bus that is cut",
@@ -199,6 +208,11 @@ fn two_motors() {
 fn both_kinds_of_stops() {
     search::<1>(&Bounds { most_calls: 2, faults: 1, ..KINDS });
     search::<1>(&ENDS);
+}
+
+#[test]
+fn stops_that_are_lifted() {
+    search::<1>(&LIFTS);
 }
 
 #[test]
