@@ -156,6 +156,10 @@ impl Truth {
             if is_stop {
                 // One to all is nobody's own.
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
+                if is_own && name != page.stop {
+                    // One before this, which told it or did not.
+                    (page.is_told, page.was_told) = (false, false);
+                }
                 page.is_told &= !is_own || page.stops_taken > 0 || page.was_told;
             } else if name.is_set_point() && page.newest_set_point == name.token {
                 // It may go again.

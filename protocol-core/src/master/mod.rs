@@ -165,7 +165,7 @@ pub struct Master<const N: usize> {
     stop_to_all: Option<StopKind>,
     /// When one was sent last; zero before that.
     stop_to_all_sent: Instant,
-    /// The last one that was sent, unless it was handed back.
+    /// The last one that was sent, unless it was handed back, or all were moved or told to end their motion since.
     stop_to_all_was: Option<StopKind>,
     /// CAN: where that is which all were told last, by a broadcast or to stop.
     for_all: ForAll,

@@ -152,6 +152,9 @@ impl<const N: usize> Master<N> {
             }
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
+                    if kind.is_refused_while_stopped() || kind.ends_motion() {
+                        self.stop_to_all_was = None;
+                    }
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);

@@ -7,6 +7,7 @@ use crate::master::late::Of;
 use crate::master::motor::stopping::Told;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Request};
+use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::Instant;
 
@@ -79,6 +80,11 @@ impl Motor {
 
     /// A stop went over it, or its time was up: it will not be answered.
     fn given_up_was_pushed_out(&mut self, is_motion: bool, data: &Data) {
+        let command = Opcode::from_byte(data[0]).filter(|_| !is_motion);
+        if command.is_some_and(|it| Kind::Known(it).ends_motion()) {
+            // It may have been what told it to stop.
+            self.told = Told::Nothing;
+        }
         match self.take_late(is_motion, data, false) {
             Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
             Some(Of::RequestAnswered | Of::StreamAnswered) => {

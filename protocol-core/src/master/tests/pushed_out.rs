@@ -350,3 +350,22 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     let quiet = master.poll_at().unwrap();
     assert_eq!(sent(&mut master, quiet), [packet_to(2, ReadModel.encode())]);
 }
+
+/// Motor 1 was told, and its answer is lost; what motor 2 was told came back when it was to be told something else.
+#[test]
+fn a_stop_that_was_handed_back_behind_another_has_told_nobody() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in [1, 2] {
+        let _read = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [packet_to(1, Shutdown.encode())]);
+    master.stop(id(2), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(10)), [packet_to(2, Stop.encode())]);
+    master.stop(id(2), StopKind::Off).unwrap();
+    master.handle_pushed_out(&packet_to(2, Stop.encode()));
+    // The second of motor 1 is due, and older.
+    let (first, second) = (packet_to(2, Shutdown.encode()), packet_to(1, Shutdown.encode()));
+    assert_eq!(sent(&mut master, ms(30)), [first, second]);
+}

@@ -537,3 +537,56 @@ fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
         assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Stop.encode())]);
     }
 }
+
+/// All were told to move, stopped like this, which motor 1 has confirmed, and let go again.
+fn stopped_and_lifted(kind: StopKind) -> (Master<2>, u64) {
+    let mut master = all_move();
+    master.stop_all(kind, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(2)))[0], TO_ALL);
+    let (_, data) = kind.command();
+    let confirms = |now: &u64| {
+        let is_confirmed = reply(&mut master, 1, data, ms(*now)) == confirmed(1);
+        sent(&mut master, ms(*now));
+        is_confirmed
+    };
+    let now = (3..200).find(confirms).expect("an answer that confirms it") + 200;
+    events(&mut master, ms(now));
+    assert_eq!(sent(&mut master, ms(now)), []);
+    master.lift_stop();
+    (master, now)
+}
+
+fn tell_all<C: Command>(master: &mut Master<2>, command: C, answer: Data, now: u64) {
+    master.broadcast(command, id(1).into()).unwrap();
+    assert_eq!(channels(&sent(master, ms(now))), [TO_ALL]);
+    reply(master, 1, answer, ms(now + 1)).unwrap();
+    events(master, ms(now + 1));
+}
+
+/// Whether a stop of all like this goes to all, too.
+fn reaches_all(master: &mut Master<2>, kind: StopKind, now: u64) -> bool {
+    master.stop_all(kind, MotorSet::EMPTY).unwrap();
+    channels(&sent(master, ms(now))).contains(&TO_ALL)
+}
+
+#[test]
+fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
+    let (mut master, now) = stopped_and_lifted(StopKind::Off);
+    assert!(!reaches_all(&mut master, StopKind::Off, now), "nothing has moved anybody");
+    // Motor 1 was told by itself since, and the others were not.
+    let (mut master, now) = stopped_and_lifted(StopKind::Off);
+    tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(now + 2))), [to(1)]);
+    assert!(reaches_all(&mut master, StopKind::Off, now + 3));
+    // It was called twice before it could go.
+    let (mut master, now) = stopped_and_lifted(StopKind::Off);
+    tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.lift_stop();
+    assert!(reaches_all(&mut master, StopKind::Off, now + 2));
+    // They were held, and are off now.
+    let (mut master, now) = stopped_and_lifted(StopKind::Hold);
+    tell_all(&mut master, Shutdown, Shutdown.encode(), now);
+    assert!(reaches_all(&mut master, StopKind::Hold, now + 2));
+}
