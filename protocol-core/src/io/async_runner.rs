@@ -1,8 +1,6 @@
 //! What every async loop offers, whatever its bus.
 
 use core::fmt;
-use core::pin::pin;
-use core::task::{Context, Poll, Waker};
 
 use embassy_futures::yield_now;
 
@@ -11,7 +9,7 @@ use crate::id::MotorId;
 use crate::io::asking::{Askings, CallError, outcome_of_set_point};
 use crate::io::elapsed::Elapsed;
 use crate::io::on_drop::OnDrop;
-use crate::io::pump::{LOOKS_IN_A_ROW, RETRY_AFTER};
+use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_STOP;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
@@ -147,19 +145,6 @@ pub trait AsyncRunner<const N: usize> {
         let _ = self.master().stop_all(kind, also);
         let motors = self.master().motors().iter().chain(also.iter()).collect();
         unconfirmed(self, motors).await
-    }
-}
-
-/// Sends what the bus takes at once, where nobody can wait for anything any more. What comes meanwhile is nobody's.
-pub(super) fn run_once<R: AsyncRunner<N>, const N: usize>(runner: &mut R) {
-    let mut context = Context::from_waker(Waker::noop());
-    let now = runner.now();
-    for _ in 0..LOOKS_IN_A_ROW {
-        // What has come is given before anything is sent.
-        let run = pin!(runner.run(Some(now)));
-        if !matches!(run.poll(&mut context), Poll::Ready(Ok(Some(_)))) {
-            break;
-        }
     }
 }
 

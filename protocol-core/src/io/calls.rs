@@ -6,7 +6,7 @@ use crate::command::Command;
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_runner::{AsyncRunner, run_once};
+use crate::io::async_runner::AsyncRunner;
 use crate::master::StopKind;
 use crate::time::Instant;
 
@@ -53,7 +53,7 @@ pub trait Calls<const N: usize> {
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool;
 
-    /// Stops a motor, and waits for nothing: what the bus takes at once is sent, and the rest whenever it is run next.
+    /// Stops a motor, and waits for nothing.
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind);
 
     /// Whether a motor would be refused a move now: it was stopped, or has restarted.
@@ -94,7 +94,6 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
         // Who was spoken to has a place.
         let _ = self.master().stop(motor, kind);
-        run_once(self);
     }
 
     fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError> {

@@ -1,6 +1,6 @@
 //! Leaving a control loop leaves it through the stop.
 
-use crate::io::async_runner::{AsyncRunner, run_once};
+use crate::io::async_runner::AsyncRunner;
 use crate::io::on_drop::OnDrop;
 use crate::io::runner::Runner;
 use crate::master::{Event, Master, MotorSet, StopKind};
@@ -89,10 +89,9 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 /// Runs `work` on an async loop and then stops all motors, however it ends. Gives what comes of it, and the
 /// motors that have not confirmed the stop: **cut their power**.
 ///
-/// Dropped halfway, or left by a panic that unwinds, it can wait for nothing any more: the stop is in force then, what
-/// the bus takes of it at once is sent, and the rest is the first thing that any other future of this loop sends. A CAN
-/// controller takes as many frames as it has places; a serial port perhaps no whole frame. So run the loop on:
-/// [`stop_all`](AsyncRunner::stop_all) also says who has not confirmed it.
+/// Dropped halfway, or left by a panic that unwinds, it can wait for nothing any more, nor send anything: the stop is in
+/// force then, and the first thing that any other future of this loop sends. **Until one runs the motors go on**: call
+/// [`stop_all`](AsyncRunner::stop_all) behind it, which also says who has not confirmed.
 pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     bus: &mut R,
     kind: StopKind,
@@ -101,7 +100,6 @@ pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     let working = OnDrop::new(bus, |bus: &mut &mut R| {
         // Nobody else is to be stopped, so there is a place for all.
         let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
-        run_once(*bus);
     });
     let result = work(working.it).await;
     let unconfirmed = working.it.stop_all(kind, MotorSet::EMPTY).await;

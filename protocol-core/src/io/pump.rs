@@ -6,7 +6,7 @@ use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
 /// How often a bus is looked at in a row that always has something, before it is sent to all the same.
-pub(super) const LOOKS_IN_A_ROW: u8 = 64;
+const LOOKS_IN_A_ROW: u8 = 64;
 
 /// A bus that takes nothing for so long counts as down.
 pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);

@@ -149,6 +149,8 @@ impl<const N: usize> Master<N> {
             && !self.broadcast.may_yet_move(motor);
         if is_idle {
             self.let_line_answer();
+            // A stop of all reaches it with all from now on.
+            self.stop_to_all_was = None;
             if let Some(of) = self.motors.get_mut(place) {
                 *of = Motor::default();
             }
