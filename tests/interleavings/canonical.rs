@@ -3,8 +3,9 @@
 //!
 //! It is made of the engine's `Debug` text, so that no field can be forgotten. Times count from now,
 //! the rounds of the motors from the master's, and what only counts, names or is asked by callers is left out:
-//! health, tickets and whether the newest set-point was dropped. What is left out of it can only change what is told, except for the time when a motor was
-//! heard last: nothing here takes the second after which that matters.
+//! health, tickets, whether the newest set-point was dropped and by when a drive has started. What is left out of it can
+//! only change what is told, except for the times when a motor was heard last and by when it has started: nothing here
+//! takes the second after which they matter.
 
 use std::fmt::{self, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
@@ -138,7 +139,7 @@ impl Write for Sink {
                     "round" => Field::Round,
                     "pace" => Field::Pace,
                     "misses" => Field::Misses,
-                    "ticket" | "last_ticket" | "is_newest_dropped" => Field::Ignored,
+                    "ticket" | "last_ticket" | "is_newest_dropped" | "started_by" => Field::Ignored,
                     _ => Field::Plain,
                 };
                 piece.hash(&mut self.hasher);

@@ -6,6 +6,7 @@ use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 use super::doubt::{SHOWS_ECHO, shows_echo};
 use super::excuses::Excuse;
 use super::names::{Name, REPORTS, has_values, is_asking, question_of};
+use super::stops::Answers;
 use super::to_all::STOP;
 use super::truth::{DONE, MAY_HAVE_RESTARTED, Truth};
 
@@ -247,6 +248,9 @@ impl Truth {
         let is_lost_master = packet.data[0] == 0xF1;
         // What may pass for an echo need not be taken for one.
         page.unanswered = 0;
+        if page.answers == Answers::Never {
+            page.answers = Answers::Unsure;
+        }
         if is_lost_master {
             page.lost_master_untold = false;
             page.ignores_next = true;

@@ -58,7 +58,12 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         for &motor in &motors {
             let asked = rig.runner.master().request_with(motor, angle(round), patience);
             let _ticket = asked.expect("nothing is under way");
-            rig.put(motor, round + 1).expect("there is a place");
+            // Whoever was cut off for a second may have restarted.
+            let put = rig.put(motor, round + 1).or_else(|_| {
+                rig.runner.master().resume(motor);
+                rig.put(motor, round + 1)
+            });
+            put.expect("there is a place");
         }
         let mut broadcast = W::NAME == "CAN" && round % 4 == 0;
         if broadcast {

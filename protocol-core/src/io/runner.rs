@@ -144,7 +144,8 @@ pub trait Runner<const N: usize> {
 
     /// Stops one motor and waits until it has confirmed, or not: then **cut its power**. See
     /// [`Master::stop`]; until [`Master::lift_stop_of`] whatever may move it is refused. An error of the bus
-    /// does not end it, as with [`stop_all`](Self::stop_all).
+    /// does not end it, as with [`stop_all`](Self::stop_all). One that a stop has switched off, and that was not lifted
+    /// since, confirms [`StopKind::Hold`], too, and stays off.
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
         block_on(Polled(self).stop(motor, kind))
@@ -152,8 +153,11 @@ pub trait Runner<const N: usize> {
 
     /// Stops all motors [that have a place](Master::motors) and those of `also`, and waits until each has confirmed,
     /// or not; see [`Master::stop_all`]. Gives those of them that have not: **cut their power**. A motor that this
-    /// master has never spoken to is not among them: name it. An error of the bus does not end it; it goes on for
-    /// up to [`LONGEST_STOP`], in the hope that the bus comes back.
+    /// master has never spoken to is not among them, so that there is none where it has spoken to nobody: name it. An
+    /// error of the bus does not end it; it goes on for up to [`LONGEST_STOP`], in the hope that the bus comes back.
+    ///
+    /// On RS485 it goes behind the exchange under way, which it waits for no longer than 50 ms. A motor that a stop has
+    /// switched off stays off until that is lifted, also where this is to hold it.
     ///
     /// Until [`Master::lift_stop`] whatever may move a motor is refused.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]

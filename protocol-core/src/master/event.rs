@@ -207,9 +207,10 @@ pub enum Event {
     ///
     /// - The bus has taken 0x76 for it (which a controller may still hand back).
     /// - It was silent for a second, also because nobody asked it anything, and does not answer then. This is reported
-    ///   when it does not answer, and once more when it does again. One that lost its supply for less shows by nothing but
-    ///   the next two: read its run time after each silence.
-    /// - It has run for less long than it said before (0xB1).
+    ///   when it does not answer, or is to be moved then, and once more when it answers again. One that lost its supply for
+    ///   less, **or for longer while nobody asked it anything, behind an emergency stop that cuts the power for example**,
+    ///   shows by nothing but the next two: read its run time after each silence, and before a stop is lifted.
+    /// - It has run for less long (0xB1) than since it was first heard, or than it said before, by the master's clock.
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
     ///   turned since it told one within 18 ms of a set-point; in motion mode, an eighth of the scale beyond 500 steps of
     ///   it in a millisecond. Feedback that answers requests tells nothing of it.

@@ -2,6 +2,7 @@
 
 use crate::id::MotorId;
 use crate::master::Master;
+use crate::master::motor::LastSent;
 
 impl<const N: usize> Master<N> {
     /// The caller has found out that a motor has restarted, by its angle for example, which the master has not: as
@@ -23,7 +24,10 @@ impl<const N: usize> Master<N> {
     /// Takes set-points and moves again for a motor that [has restarted](crate::master::Event::Restarted): the caller
     /// knows where it is.
     pub fn resume(&mut self, motor: MotorId) {
-        self.change(motor, |motor, _| motor.has_restarted = false);
+        self.change(motor, |motor, _| {
+            motor.has_restarted = false;
+            motor.last_sent.insert(LastSent::IS_RESUMED);
+        });
     }
 
     pub(super) fn has_any_restarted(&self) -> bool {

@@ -319,6 +319,9 @@ impl<const N: usize> Master<N> {
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse: every stop, whoever has
     /// called for it.
+    ///
+    /// Nobody asks a motor that has confirmed its stop anything. If its power may have been off since, read its run time
+    /// (0xB1) before: it has [restarted](crate::master::Event::Restarted) then, and its turns may be lost.
     pub fn lift_stop(&mut self) {
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;

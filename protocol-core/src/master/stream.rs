@@ -118,8 +118,8 @@ impl<const N: usize> Master<N> {
         self.due = self.due.min(expiry);
         let pace = self.pace;
         let place = self.place_for(motor)?;
-        self.change_at(place, |motor, _| {
-            if motor.has_restarted {
+        self.change_at(place, |motor, config| {
+            if motor.has_restarted_by(config, now) {
                 return Err(RequestError::Restarted);
             }
             let is_same = |asked: &Asked| asked.question == set_point.question;

@@ -60,6 +60,10 @@ bitflags! {
         /// A controller has handed its stop back since it answered, or did not, or whatever it was sent where it is silent:
         /// that made way for a more urgent frame.
         const MAKES_WAY = 1 << 4;
+        /// The caller has resumed it since it answered, or did not.
+        const IS_RESUMED = 1 << 5;
+        /// What no other command ends.
+        const GOES_ON = Self::MAKES_WAY.bits() | Self::IS_RESUMED.bits();
     }
 }
 
@@ -104,8 +108,9 @@ pub(super) struct Motor {
     pub(super) on_its_way: OnItsWay,
     /// Some of it is not among `late`, whose replies then say nothing of it.
     is_beyond_late: bool,
-    /// How long it had run when it said so last, in milliseconds.
-    run_time_ms: u32,
+    /// Its drive has started no later than this [step](restarts::steps) of time, as far as is known: it was heard then,
+    /// or has said how long it had run.
+    started_by: u32,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
@@ -306,7 +311,7 @@ impl Motor {
     }
 
     fn was_sent(&mut self, what: LastSent, now: Instant) {
-        (self.last_sent, self.sent) = (what | self.last_sent & LastSent::MAKES_WAY, now);
+        (self.last_sent, self.sent) = (what | self.last_sent & LastSent::GOES_ON, now);
         self.round = self.round.wrapping_add(1);
     }
 
@@ -399,14 +404,14 @@ impl Motor {
 
     /// A reply has not come in time.
     pub(super) fn note_miss(&mut self, config: &Config, now: Instant) {
-        self.last_sent.remove(LastSent::MAKES_WAY);
+        self.last_sent.remove(LastSent::GOES_ON);
         self.misses = self.misses.saturating_add(1);
         self.health.count_miss();
         self.note_silence(config, now);
     }
 
     pub(super) fn note_there(&mut self) {
-        self.last_sent.remove(LastSent::MAKES_WAY);
+        self.last_sent.remove(LastSent::GOES_ON);
         self.misses = 0;
     }
 
@@ -420,7 +425,10 @@ impl Motor {
     #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         self.unreached = 0;
-        let Some(before) = self.health.note_heard(now) else { return false };
+        let Some(before) = self.health.note_heard(now) else {
+            self.note_first_heard(now);
+            return false;
+        };
         let silence = now - before;
         self.note_back_after(silence, config, now);
         silence < config.doubled_within()

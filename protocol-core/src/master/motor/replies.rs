@@ -289,7 +289,9 @@ impl Motor {
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
             (kind, ReadRunTime::decode_reply(&data))
         {
-            self.note_run_time(reply, config, now);
+            // It may answer one of several sendings, of which each waits for its turn behind the time-out of the last.
+            let earlier = asked.timeout.times(2 * u32::from(asked.unanswered));
+            self.note_run_time(reply, earlier, config, now);
         }
         let ticket = TicketId { motor, number: self.ticket };
         Meaning::Answer(ticket, kind, round_trip)

@@ -4,12 +4,27 @@
 use crate::command::{AnyReply, RunTime};
 use crate::master::config::Config;
 use crate::master::event::{Failure, feedback_of};
-use crate::master::motor::{Motor, News};
+use crate::master::motor::{LastSent, Motor, News};
 use crate::time::{Duration, Instant};
-use crate::units::Milliseconds;
 
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 pub(super) const RESTART_TAKES: Duration = Duration::from_secs(1);
+
+/// By so much, and by one part in so many of the time that it has run, a drive's clock may differ.
+const CLOCKS_DIFFER: u32 = steps(Duration::from_millis(250));
+const CLOCKS_DIFFER_BY: u32 = 32;
+/// Steps wrap: what is later by more than this is sooner.
+const IS_SOONER: u32 = steps(Duration::from_secs(43 * 24 * 3_600));
+
+/// In steps of 1,024 us, which wrap: milliseconds would take a division of 64 bits.
+const fn steps(span: Duration) -> u32 {
+    (span.as_micros() >> 10) as u32
+}
+
+/// When this is, in such steps.
+fn step_of(at: Instant) -> u32 {
+    steps(at - Instant::ZERO)
+}
 
 /// No motor turns a degree in less: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
@@ -56,8 +71,17 @@ impl Position {
 }
 
 impl Motor {
-    /// Who was silent for as long as a restart takes gets no more set-points: the first that it heard would move it
-    /// from wherever it thinks it is.
+    /// Who did not answer last and was silent for as long as a restart takes is moved no more: the first move that it
+    /// heard would start from wherever it thinks it is. Unless the caller has resumed it since.
+    pub(in crate::master) fn has_restarted_by(&mut self, config: &Config, now: Instant) -> bool {
+        if self.was_missed() && !self.last_sent.contains(LastSent::IS_RESUMED) {
+            self.note_silence(config, now);
+        }
+        self.has_restarted
+    }
+
+    /// It is silent, and was so for as long as a restart takes.
+    #[inline(never)]
     pub(super) fn note_silence(&mut self, config: &Config, now: Instant) {
         let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
         if is_silent && !self.has_restarted {
@@ -73,18 +97,28 @@ impl Motor {
         }
     }
 
-    /// It has said how long it has run.
+    /// It is heard for the first time, so that it has started.
+    #[inline(never)]
+    pub(super) fn note_first_heard(&mut self, now: Instant) {
+        self.started_by = step_of(now);
+    }
+
+    /// It has said how long it had run: when it was asked last, or up to so much `earlier`.
     pub(in crate::master) fn note_run_time(
         &mut self,
         runs: RunTime,
+        earlier: Duration,
         config: &Config,
         now: Instant,
     ) {
-        let before_ms = core::mem::replace(&mut self.run_time_ms, runs.run_time.raw());
-        let before = RunTime { run_time: Milliseconds::from_raw(before_ms) };
-        if runs.shows_restart_since(before) {
+        let run = steps(Duration::from_millis(runs.run_time.raw().into()));
+        // It has started no sooner than that tells, and no later than now does.
+        let started = step_of(self.sent).wrapping_sub(steps(earlier)).wrapping_sub(run);
+        let later = started.wrapping_sub(self.started_by);
+        if (CLOCKS_DIFFER + run / CLOCKS_DIFFER_BY..IS_SOONER).contains(&later) {
             self.begin_anew(config, now);
         }
+        self.started_by = step_of(now).wrapping_sub(run);
     }
 
     /// Feedback of its stream says where it is: further from where it was than it can have turned since.
@@ -106,7 +140,8 @@ impl Motor {
     pub(in crate::master) fn begin_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
-        self.run_time_ms = 0;
+        // It may be about to, by a command.
+        self.started_by = step_of(now + config.restart_time);
         self.position = None;
         self.last_stop.end_by_restart();
         self.news.insert(News::RESTARTED);

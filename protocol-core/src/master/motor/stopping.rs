@@ -24,7 +24,7 @@ use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{Motor, News};
 use crate::master::request::{Asked, Purpose, Request};
-use crate::master::stop::StopKind;
+use crate::master::stop::{STOP_ATTEMPTS, StopKind};
 use crate::opcode::Opcode;
 use crate::time::Instant;
 
@@ -87,6 +87,9 @@ impl Motor {
             (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, stop.attempts_left);
             // What became of an earlier stop says nothing of this one.
             self.news.remove(News::UNCONFIRMED);
+        } else if asked.attempts_left == 0 && asked.unanswered < 2 * STOP_ATTEMPTS {
+            // Who calls now is owed one of its own; who calls in every cycle is told all the same that none is confirmed.
+            (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, 1);
         }
         self.drop_waiting_set_point();
         true

@@ -563,3 +563,30 @@ fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_ever
     assert!(shares[0] > 1_900, "{shares:?}");
     assert!(shares[1] > 200, "{shares:?}");
 }
+
+/// It was called when the last attempt of the one before had been sent, and is told as unconfirmed only behind one of its
+/// own; but in every cycle that goes on for as long again and no longer.
+#[test]
+fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is_given_up() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let attempts = (0..).scan(0, |count, now| {
+        *count += sent(&mut master, ms(now)).len();
+        events(&mut master, ms(now));
+        Some((*count, now))
+    });
+    let now = attempts.skip_while(|&(count, _)| count < 15).map(|(_, now)| now).next().unwrap();
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let sent_at = (now..).find(|&now| !sent(&mut master, ms(now)).is_empty()).unwrap();
+    assert!(sent_at - now <= 25, "{sent_at} {now}");
+    let mut count = 16;
+    let told = (sent_at..sent_at + 2_000).find(|&now| {
+        master.stop(id(1), StopKind::Off).unwrap();
+        let told = events(&mut master, ms(now));
+        count += sent(&mut master, ms(now)).len();
+        told.contains(&Event::StopUnconfirmed { motor: id(1) })
+    });
+    assert!(told.is_some());
+    assert_eq!(count, 30);
+}

@@ -253,7 +253,7 @@ fn a_stream_does_not_go_on_by_itself_after_a_restart() {
     // Silent for 1 s, as long as a restart takes: the first set-point that it heard then would move it.
     let told = loop {
         now += 5;
-        master.set_point(id(1), motion(), ms(now)).unwrap();
+        let _is_refused = master.set_point(id(1), motion(), ms(now));
         sent(&mut master, ms(now));
         let told = events(&mut master, ms(now + 4));
         if told.contains(&Event::Restarted { motor: id(1) }) {
@@ -290,6 +290,69 @@ fn a_run_time_that_goes_back_is_that_of_a_restart() {
     }
 }
 
+/// A motor that says at `at` that it has run for so long, in answer to what it was asked a millisecond before.
+fn has_run(master: &mut Master<2>, run_ms: u32, at: u64) -> bool {
+    let _ = ask(master, 1, ReadRunTime, ms(at - 1));
+    let [a, b, c, d] = run_ms.to_le_bytes();
+    reply(master, 1, [0xB1, 0, 0, 0, a, b, c, d], ms(at)).unwrap();
+    let is_told = events(master, ms(at)).contains(&Event::Restarted { motor: id(1) });
+    master.resume(id(1));
+    is_told
+}
+
+/// The power was off while nobody asked: it has run for longer than it said then, and for less long than since.
+#[test]
+fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
+    // It was heard at 1 ms, or has said then how long it had run.
+    for has_said in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        if has_said {
+            assert!(!has_run(&mut master, 900, 1));
+        } else {
+            let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+            reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        }
+        assert!(has_run(&mut master, 1_000, 10_000), "{has_said}");
+        assert!(!has_run(&mut master, 2_000, 11_000), "once");
+        assert!(!has_run(&mut master, 601_000, 610_000));
+        assert!(has_run(&mut master, 3_600_000 - 601_000, 3_600_000), "ten minutes ago");
+    }
+}
+
+#[test]
+fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!has_run(&mut master, 1_000, 1));
+    // A thirtieth of an hour slow, and then fast.
+    assert!(!has_run(&mut master, 3_500_000, 3_600_000));
+    assert!(!has_run(&mut master, 7_300_000, 7_200_000));
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!has_run(&mut master, u32::MAX - 1_000, 1_000));
+    assert!(!has_run(&mut master, 8_999, 11_000));
+    // Nobody has looked for five seconds behind the answer.
+    let _ = ask(&mut master, 1, ReadRunTime, ms(20_000));
+    reply(&mut master, 1, [0xB1, 0, 0, 0, 0x50, 0x46, 0, 0], ms(25_000));
+    assert!(!events(&mut master, ms(25_000)).contains(&Event::Restarted { motor: id(1) }));
+}
+
+/// Its stop was not confirmed, and is lifted: nobody has asked it anything since.
+#[test]
+fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 1, 2);
+    master.lift_stop();
+    assert!(master.clone().set_point(id(1), torque(1.0), ms(now)).is_ok(), "for a short time");
+    let now = now + 1_000;
+    events(&mut master, ms(now));
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(now)), Err(RequestError::Restarted));
+    assert_eq!(master.request(id(1), step()).err(), Some(RequestError::Restarted));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+    assert_eq!(events(&mut master, ms(now)), [Event::Restarted { motor: id(1) }]);
+}
+
 #[test]
 fn a_motor_that_nobody_asked_for_long_has_not_restarted() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -311,12 +374,12 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
         sent(&mut master, ms(now));
         events(&mut master, ms(now + 25));
     }
-    master.set_point(id(1), torque(1.0), ms(1_200)).unwrap();
-    sent(&mut master, ms(1_200));
+    master.set_point(id(1), torque(1.0), ms(1_000)).unwrap();
+    sent(&mut master, ms(1_000));
     let moving = master.request(id(1), step()).unwrap();
-    reply(&mut master, 1, TORQUE_REPLY, ms(1_201)).unwrap();
-    assert_eq!(sent(&mut master, ms(1_201)), []);
-    let told = events(&mut master, ms(1_201));
+    reply(&mut master, 1, TORQUE_REPLY, ms(1_002)).unwrap();
+    assert_eq!(sent(&mut master, ms(1_002)), []);
+    let told = events(&mut master, ms(1_002));
     assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
     assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
