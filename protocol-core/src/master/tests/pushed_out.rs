@@ -369,3 +369,24 @@ fn a_stop_that_was_handed_back_behind_another_has_told_nobody() {
     let (first, second) = (packet_to(2, Shutdown.encode()), packet_to(1, Shutdown.encode()));
     assert_eq!(sent(&mut master, ms(30)), [first, second]);
 }
+
+/// Motor 3 was told, and does not answer: its second is due, and older than whatever motor 1 is told.
+#[test]
+fn a_stop_that_is_handed_back_is_a_first_one_again_unless_its_motor_was_told_before() {
+    for was_told_before in [false, true] {
+        let mut master = Master::<4>::new(Config::CAN);
+        let stop = packet_to(1, Shutdown.encode());
+        if was_told_before {
+            master.stop(id(1), StopKind::Off).unwrap();
+            assert_eq!(sent(&mut master, ms(0)), [stop]);
+            assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+        }
+        master.stop(id(3), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(2)).len(), 1);
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(10)), [stop]);
+        master.handle_pushed_out(&stop);
+        let stops = sent(&mut master, ms(30));
+        assert_eq!(stops.first() == Some(&stop), !was_told_before, "{stops:?}");
+    }
+}

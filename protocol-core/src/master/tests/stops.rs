@@ -632,3 +632,52 @@ fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are
         assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Stop.encode())]);
     }
 }
+
+/// Motor 1 was stopped like this `before`, and something was sent to it `since`. Whether it is stopped now before the
+/// second attempt of motor 3, which is older.
+fn is_first(
+    before: impl FnOnce(&mut Master<4>),
+    since: impl FnOnce(&mut Master<4>) -> (Packet, Data),
+) -> bool {
+    let mut master = Master::<4>::new(Config::CAN);
+    before(&mut master);
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Shutdown.encode())]);
+    reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
+    events(&mut master, ms(1));
+    master.lift_stop();
+    master.stop(id(3), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let (packet, answer) = since(&mut master);
+    assert_eq!(sent(&mut master, ms(3)), [packet]);
+    reply(&mut master, 1, answer, ms(4));
+    events(&mut master, ms(10));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let stops = sent(&mut master, ms(30));
+    stops.first() == Some(&packet_to(1, Shutdown.encode()))
+}
+
+#[test]
+fn who_was_told_to_stop_goes_behind_others_until_it_is_sent_what_a_stop_refuses() {
+    let stop = |master: &mut Master<4>| master.stop(id(1), StopKind::Off).unwrap();
+    let asks = |master: &mut Master<4>| {
+        let _asked = master.request(id(1), Shutdown).unwrap();
+    };
+    let sends = |data: Data, moves: bool| {
+        move |master: &mut Master<4>| {
+            let _sent = master.request(id(1), RawCommand::new(data, ReplyRule::Same, moves));
+            (packet_to(1, data), data)
+        }
+    };
+    let read = ReadMultiTurnAngle.encode();
+    assert!(!is_first(stop, sends(read, false)));
+    assert!(is_first(asks, sends(read, false)), "a caller's own command is no stop");
+    assert!(is_first(stop, sends(ReleaseBrake.encode(), true)));
+    // 0xB6 moves nothing, and is refused all the same.
+    let report = [0xB6, 0x60, 0, 0, 0, 0, 0, 0];
+    assert!(is_first(stop, sends(report, false)));
+    let streams = |master: &mut Master<4>| {
+        master.set_point(id(1), torque(1.0), ms(3)).unwrap();
+        (packet_to(1, torque(1.0).encode()), TORQUE_REPLY)
+    };
+    assert!(is_first(stop, streams));
+}
