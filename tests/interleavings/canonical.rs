@@ -4,8 +4,8 @@
 //! It is made of the engine's `Debug` text, so that no field can be forgotten. Times count from now,
 //! the rounds of the motors from the master's, and what only counts, names or is asked by callers is left out:
 //! health, tickets, whether the newest set-point was dropped and by when a drive has started. What is left out of it can
-//! only change what is told, except for the times when a motor was heard last and by when it has started: nothing here
-//! takes the second after which they matter.
+//! only change what is told, except for when a motor was heard last, which matters after a second, and by when it has
+//! started, which matters where its run time is read: nothing here does either.
 
 use std::fmt::{self, Write};
 use std::hash::{BuildHasher, Hash, Hasher};

@@ -5,6 +5,7 @@ use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
@@ -59,10 +60,11 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
             let asked = rig.runner.master().request_with(motor, angle(round), patience);
             let _ticket = asked.expect("nothing is under way");
             // Whoever was cut off for a second may have restarted.
-            let put = rig.put(motor, round + 1).or_else(|_| {
+            let mut put = rig.put(motor, round + 1);
+            if put == Err(RequestError::Restarted) {
                 rig.runner.master().resume(motor);
-                rig.put(motor, round + 1)
-            });
+                put = rig.put(motor, round + 1);
+            }
             put.expect("there is a place");
         }
         let mut broadcast = W::NAME == "CAN" && round % 4 == 0;

@@ -430,8 +430,13 @@ impl<const N: usize> Master<N> {
         let kind = command.kind().of_bytes(&data);
         let now = self.now;
         self.check(kind, Target::All)?;
-        if kind.moves() && self.has_any_restarted() {
-            return Err(RequestError::Restarted);
+        if kind.moves() {
+            for place in self.places.taken.iter() {
+                self.change_at(place, |motor, config| motor.has_restarted_by(config, now));
+            }
+            if self.has_any_restarted() {
+                return Err(RequestError::Restarted);
+            }
         }
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);

@@ -210,7 +210,9 @@ pub enum Event {
     ///   when it does not answer, or is to be moved then, and once more when it answers again. One that lost its supply for
     ///   less, **or for longer while nobody asked it anything, behind an emergency stop that cuts the power for example**,
     ///   shows by nothing but the next two: read its run time after each silence, and before a stop is lifted.
-    /// - It has run for less long (0xB1) than since it was first heard, or than it said before, by the master's clock.
+    /// - It says in answer to a request (0xB1) that it has run for less long than since it was first heard, or than it said
+    ///   before and the time since: by more than 250 ms and 1/64 of what it says, for its clock may differ. Not where it is
+    ///   known for 48 days, and not in answer to a command to all.
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
     ///   turned since it told one within 18 ms of a set-point; in motion mode, an eighth of the scale beyond 500 steps of
     ///   it in a millisecond. Feedback that answers requests tells nothing of it.

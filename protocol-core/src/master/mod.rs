@@ -42,11 +42,11 @@
 //! RS485 an echo that nobody configured confirms a stop, or passes for values that are all 0, if noise has taken the
 //! echoes of four reads in a row, and neither these reads nor their answers, or fewer, where answers came late or twice
 //! while the next read went into a cut; and any echo does that comes more than 100 ms after
-//! its sending although the port was found empty meanwhile. A restart shows by a second in which nothing is
-//! heard of the motor and an answer that does not come, by a run time that has gone back when it is read
-//! (0xB1), or by an angle that jumps under a stream; one that shows by none of these is not noticed. Feedback
-//! that comes later and later may be taken for such a jump, at thousands of degrees a second. And a stop
-//! cannot be confirmed by a motor whose replies do not come through: then cut its power.
+//! its sending although the port was found empty meanwhile. A restart shows by a second in which nothing is heard of
+//! the motor and an answer that does not come, or a move that is to go then, by a run time that is shorter than it
+//! must be when it is read (0xB1), or by an angle that jumps under a stream; one that shows by none of these is not
+//! noticed. Feedback that comes later and later may be taken for such a jump, at thousands of degrees a second. And
+//! a stop cannot be confirmed by a motor whose replies do not come through: then cut its power.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every

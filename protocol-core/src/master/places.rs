@@ -149,7 +149,7 @@ impl<const N: usize> Master<N> {
             && !self.broadcast.may_yet_move(motor);
         if is_idle {
             self.let_line_answer();
-            // A stop of all reaches it with all from now on.
+            // What goes to all is for it, too, and not left out as called again.
             self.stop_to_all_was = None;
             if let Some(of) = self.motors.get_mut(place) {
                 *of = Motor::default();

@@ -22,7 +22,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Takes set-points and moves again for a motor that [has restarted](crate::master::Event::Restarted): the caller
-    /// knows where it is.
+    /// knows where it is. However long it is silent from then on, it is moved once before it is heard.
     pub fn resume(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| {
             motor.has_restarted = false;

@@ -68,7 +68,7 @@ impl<const N: usize> Master<N> {
     /// - Each motor gets its first stop before any gets its second. One that was stopped before, and was sent nothing since
     ///   that a stop would refuse, has had its first. A stop that is not confirmed within
     ///   [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms where that is longer, is repeated,
-    ///   up to 15 times in all.
+    ///   up to 15 times in all, or 30 where it is called again meanwhile.
     /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
@@ -321,7 +321,8 @@ impl<const N: usize> Master<N> {
     /// called for it.
     ///
     /// Nobody asks a motor that has confirmed its stop anything. If its power may have been off since, read its run time
-    /// (0xB1) before: it has [restarted](crate::master::Event::Restarted) then, and its turns may be lost.
+    /// (0xB1) when it is back, and before this: that tells that it has [restarted](crate::master::Event::Restarted), and its
+    /// turns may be lost.
     pub fn lift_stop(&mut self) {
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;

@@ -109,7 +109,7 @@ pub(super) struct Motor {
     /// Some of it is not among `late`, whose replies then say nothing of it.
     is_beyond_late: bool,
     /// Its drive has started no later than this [step](restarts::steps) of time, as far as is known: it was heard then,
-    /// or has said how long it had run.
+    /// or has said how long it had run, or it may have been about to restart.
     started_by: u32,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,

@@ -12,9 +12,9 @@ pub(super) const RESTART_TAKES: Duration = Duration::from_secs(1);
 
 /// By so much, and by one part in so many of the time that it has run, a drive's clock may differ.
 const CLOCKS_DIFFER: u32 = steps(Duration::from_millis(250));
-const CLOCKS_DIFFER_BY: u32 = 32;
-/// Steps wrap: what is later by more than this is sooner.
-const IS_SOONER: u32 = steps(Duration::from_secs(43 * 24 * 3_600));
+const CLOCKS_DIFFER_BY: u32 = 64;
+/// A drive's time begins anew after 49.7 days, and steps after 50.9: who is known for longer says nothing.
+const MAY_WRAP: u32 = steps(Duration::from_secs(48 * 24 * 3_600));
 
 /// In steps of 1,024 us, which wrap: milliseconds would take a division of 64 bits.
 const fn steps(span: Duration) -> u32 {
@@ -72,7 +72,7 @@ impl Position {
 
 impl Motor {
     /// Who did not answer last and was silent for as long as a restart takes is moved no more: the first move that it
-    /// heard would start from wherever it thinks it is. Unless the caller has resumed it since.
+    /// heard would start from wherever it thinks it is. Unless the caller has resumed it since it was last asked anything.
     pub(in crate::master) fn has_restarted_by(&mut self, config: &Config, now: Instant) -> bool {
         if self.was_missed() && !self.last_sent.contains(LastSent::IS_RESUMED) {
             self.note_silence(config, now);
@@ -112,10 +112,12 @@ impl Motor {
         now: Instant,
     ) {
         let run = steps(Duration::from_millis(runs.run_time.raw().into()));
-        // It has started no sooner than that tells, and no later than now does.
-        let started = step_of(self.sent).wrapping_sub(steps(earlier)).wrapping_sub(run);
-        let later = started.wrapping_sub(self.started_by);
-        if (CLOCKS_DIFFER + run / CLOCKS_DIFFER_BY..IS_SOONER).contains(&later) {
+        // So long it has run at least, from when it was known to have started until it was asked. What lies ahead is
+        // longer than anything.
+        let asked = step_of(self.sent).wrapping_sub(steps(earlier));
+        let least = asked.wrapping_sub(self.started_by);
+        let most = run.saturating_add(CLOCKS_DIFFER + run / CLOCKS_DIFFER_BY);
+        if (most..MAY_WRAP).contains(&least) {
             self.begin_anew(config, now);
         }
         self.started_by = step_of(now).wrapping_sub(run);

@@ -79,7 +79,7 @@ impl LastStop {
 
 impl Motor {
     /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
-    /// from here.
+    /// from here, and one whose last was sent has one more.
     fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
@@ -88,7 +88,7 @@ impl Motor {
             // What became of an earlier stop says nothing of this one.
             self.news.remove(News::UNCONFIRMED);
         } else if asked.attempts_left == 0 && asked.unanswered < 2 * STOP_ATTEMPTS {
-            // Who calls now is owed one of its own; who calls in every cycle is told all the same that none is confirmed.
+            // Who calls now is owed one of its own. Not for ever: who calls in every cycle is told that none is confirmed.
             (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, 1);
         }
         self.drop_waiting_set_point();

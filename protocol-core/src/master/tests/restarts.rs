@@ -323,9 +323,22 @@ fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
 fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, 1_000, 1));
-    // A thirtieth of an hour slow, and then fast.
-    assert!(!has_run(&mut master, 3_500_000, 3_600_000));
+    // By a hundredth slow, and then fast.
+    assert!(!has_run(&mut master, 3_565_000, 3_600_000));
     assert!(!has_run(&mut master, 7_300_000, 7_200_000));
+    // Whoever is heard for the first time may have run for weeks; and is known for weeks then.
+    const A_DAY: u64 = 24 * 3_600_000;
+    for days in [1, 8, 30, 45, 49] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let weeks = (days * A_DAY) as u32;
+        assert!(!has_run(&mut master, weeks, 1_000), "{days}");
+        let mut master = Master::<2>::new(Config::CAN);
+        assert!(!has_run(&mut master, 1_000, 1_000));
+        assert_eq!(has_run(&mut master, 10_000, days * A_DAY), days < 48, "{days}");
+        let mut master = Master::<2>::new(Config::CAN);
+        assert!(!has_run(&mut master, 1_000, 1_000));
+        assert!(!has_run(&mut master, weeks, days * A_DAY), "{days}");
+    }
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, u32::MAX - 1_000, 1_000));
     assert!(!has_run(&mut master, 8_999, 11_000));
@@ -349,8 +362,24 @@ fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
     events(&mut master, ms(now));
     assert_eq!(master.set_point(id(1), torque(1.0), ms(now)), Err(RequestError::Restarted));
     assert_eq!(master.request(id(1), step()).err(), Some(RequestError::Restarted));
+    master.resume(id(1));
+    assert!(master.clone().set_point(id(1), torque(1.0), ms(now)).is_ok(), "the caller knows");
+    events(&mut master, ms(now));
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
-    assert_eq!(events(&mut master, ms(now)), [Event::Restarted { motor: id(1) }]);
+}
+
+#[test]
+fn all_are_not_moved_while_one_of_them_did_not_answer_and_was_silent_for_a_second() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let _ = master.request_with(id(1), ReadModel, once(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    assert_eq!(events(&mut master, ms(7)).len(), 1);
+    events(&mut master, ms(1_100));
+    let moved = master.broadcast(torque(1.0), MotorSet::EMPTY);
+    assert_eq!(moved, Err(RequestError::Restarted));
+    assert_eq!(events(&mut master, ms(1_100)), [Event::Restarted { motor: id(1) }]);
 }
 
 #[test]
