@@ -471,3 +471,32 @@ fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every
         assert_eq!(at, Some(now + 6), "{lost} answers were lost");
     }
 }
+
+/// The last one went less than 100 ms ago; but motor 1 was moved since.
+#[test]
+fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
+    for is_moved in [false, true] {
+        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        let says = |master: &mut Master<2>, data, at| {
+            master.handle_line(&Frame { address: Target::Motor(id(1)), data }, ms(at))
+        };
+        let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        says(&mut master, ANGLE_REPLY, 1).unwrap();
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(10)), [packet_to_all(Shutdown.encode())]);
+        // Its first answer may be that to the one to all.
+        for (at, told) in [(17, None), (19, confirmed(1))] {
+            assert_eq!(sent(&mut master, ms(at)), [packet_to(1, Shutdown.encode())]);
+            assert_eq!(says(&mut master, Shutdown.encode(), at + 1), told);
+        }
+        master.lift_stop();
+        if is_moved {
+            master.set_point(id(1), torque(1.0), ms(22)).unwrap();
+            assert_eq!(sent(&mut master, ms(22)).len(), 1);
+            says(&mut master, TORQUE_REPLY, 23).unwrap();
+        }
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        let to_all = packet_to_all(Shutdown.encode());
+        assert_eq!(sent(&mut master, ms(24)).contains(&to_all), is_moved);
+    }
+}

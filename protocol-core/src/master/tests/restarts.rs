@@ -348,6 +348,17 @@ fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
     assert!(!events(&mut master, ms(25_000)).contains(&Event::Restarted { motor: id(1) }));
 }
 
+#[test]
+fn a_restart_by_command_is_told_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!has_run(&mut master, 60_000, 1));
+    let _reset = ask(&mut master, 1, Reset, ms(2));
+    assert!(events(&mut master, ms(2)).contains(&Event::Restarted { motor: id(1) }));
+    master.resume(id(1));
+    // It was back a second later.
+    assert!(!has_run(&mut master, 1_900, 3_000));
+}
+
 /// Its stop was not confirmed, and is lifted: nobody has asked it anything since.
 #[test]
 fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
