@@ -432,7 +432,7 @@ impl<const N: usize> Master<N> {
         self.check(kind, Target::All)?;
         if kind.moves() {
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.has_restarted_by(config, now));
+                self.change_at(place, |motor, config| motor.note_restart_if_silent(config, now));
             }
             if self.has_any_restarted() {
                 return Err(RequestError::Restarted);

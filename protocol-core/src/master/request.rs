@@ -245,7 +245,7 @@ impl<const N: usize> Master<N> {
             if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
                 return Err(RequestError::Busy);
             }
-            if kind.moves() && motor.has_restarted_by(config, now) {
+            if kind.moves() && motor.note_restart_if_silent(config, now) {
                 return Err(RequestError::Restarted);
             }
             if let Some(opcode) = kind.opcode() {

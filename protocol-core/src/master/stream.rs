@@ -119,7 +119,7 @@ impl<const N: usize> Master<N> {
         let pace = self.pace;
         let place = self.place_for(motor)?;
         self.change_at(place, |motor, config| {
-            if motor.has_restarted_by(config, now) {
+            if motor.note_restart_if_silent(config, now) {
                 return Err(RequestError::Restarted);
             }
             let is_same = |asked: &Asked| asked.question == set_point.question;

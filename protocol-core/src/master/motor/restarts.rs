@@ -73,7 +73,12 @@ impl Position {
 impl Motor {
     /// Who did not answer last and was silent for as long as a restart takes is moved no more: the first move that it
     /// heard would start from wherever it thinks it is. Unless the caller has resumed it since it was last asked anything.
-    pub(in crate::master) fn has_restarted_by(&mut self, config: &Config, now: Instant) -> bool {
+    /// Gives whether it has restarted.
+    pub(in crate::master) fn note_restart_if_silent(
+        &mut self,
+        config: &Config,
+        now: Instant,
+    ) -> bool {
         if self.was_missed() && !self.last_sent.contains(LastSent::IS_RESUMED) {
             self.note_silence(config, now);
         }
