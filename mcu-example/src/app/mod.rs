@@ -334,10 +334,6 @@ impl<const N: usize> App<N> {
             }
             Answer::Errors(flags) if flags.is_empty() => None,
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
-            Answer::RunTime(run_time) => {
-                let has_restarted = self.motor(motor)?.has_restarted(run_time);
-                has_restarted.then_some(Trouble::Restarted { motor })
-            }
             Answer::Angle(angle) => {
                 self.motor(motor)?.angle = angle;
                 None

@@ -6,7 +6,7 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::master::{Health, Master};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, Milliseconds};
+use myactuator_protocol_core::units::Angle;
 
 use super::path::place;
 use super::{Movement, Setup};
@@ -22,8 +22,6 @@ pub(super) struct Motor {
     pub(super) angle: Angle,
     /// When its stream was answered last.
     heard: Instant,
-    /// How long it had run when it was asked last.
-    run_time: Milliseconds,
     /// Set-points that were answered since they were last counted.
     answered: u16,
     /// Commands that were lost before it began to move.
@@ -39,7 +37,6 @@ impl Motor {
             home: zero,
             angle: zero,
             heard: Instant::ZERO,
-            run_time: Milliseconds::from_raw(0),
             answered: 0,
             lost_before: 0,
         }
@@ -83,12 +80,6 @@ impl Motor {
     /// Commands without a reply in time since it began to move.
     pub(super) fn lost(&self, health: Health) -> u32 {
         health.lost.saturating_sub(self.lost_before).into()
-    }
-
-    /// Whether its run time says that it has started anew.
-    pub(super) fn has_restarted(&mut self, run_time: Milliseconds) -> bool {
-        let before = core::mem::replace(&mut self.run_time, run_time);
-        run_time < before
     }
 
     /// It begins here. Whether the whole way from here lies within what its commands can say.

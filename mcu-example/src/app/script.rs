@@ -8,7 +8,7 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, Milliseconds};
+use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{Data, MotorId};
 
 use super::Setup;
@@ -46,7 +46,6 @@ pub(super) enum Answer {
     Errors(ErrorFlags),
     Angle(Angle),
     Home(Angle),
-    RunTime(Milliseconds),
 }
 
 impl Question {
@@ -99,11 +98,12 @@ impl Question {
             Self::Errors => Answer::Errors(ReadStatus1::decode_reply(data).ok()?.errors),
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
-            Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
             Self::Protection
             | Self::ErrorReports
             | Self::Hold
             | Self::ReleaseBrake
+            // The master sees in it whether the motor has restarted.
+            | Self::RunTime
             | Self::LockBrake => Answer::Done,
         };
         Some(answer)

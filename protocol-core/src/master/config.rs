@@ -18,7 +18,7 @@ pub enum Bus {
         turnaround: Duration,
         /// Whether the adapter hands back what is sent. If so, the first frame with the same bytes is dropped.
         ///
-        /// If this says no, the loops find out: until two answers in a row have come without an echo, they read a
+        /// If this says no, the loops find out: until four answers in a row have come without an echo, they read a
         /// motor's status (0x9A) before each command to it whose echo may pass for the answer, and take what equals
         /// that command for its echo. Only the first attempt of a stop does not wait for that, and is confirmed by the
         /// next one then. A motor that is not there is waited for twice so. What is sent only once, because it writes
