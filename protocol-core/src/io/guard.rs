@@ -92,6 +92,23 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 /// Dropped halfway, or left by a panic that unwinds, it can wait for nothing any more, nor send anything: the stop is in
 /// force then, and the first thing that any other future of this loop sends. **Until one runs the motors go on**: call
 /// [`stop_all`](AsyncRunner::stop_all) behind it, which also says who has not confirmed.
+///
+/// ```no_run
+/// # use myactuator_protocol_core::io::{AsyncRunner, guarded};
+/// # use myactuator_protocol_core::master::{MotorSet, StopKind};
+/// use embassy_futures::select::{Either, select};
+///
+/// # async fn work<R: AsyncRunner<8>>(_: &mut R) {}
+/// # async fn button() {}
+/// # async fn task<R: AsyncRunner<8>>(mut bus: R) -> MotorSet {
+/// let working = guarded(&mut bus, StopKind::Hold, async |bus| work(bus).await);
+/// match select(working, button()).await {
+///     Either::First((_, unconfirmed)) => unconfirmed,
+///     // `working` was dropped: this sends the stop.
+///     Either::Second(()) => bus.stop_all(StopKind::Hold, MotorSet::EMPTY).await,
+/// }
+/// # }
+/// ```
 pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     bus: &mut R,
     kind: StopKind,
