@@ -449,10 +449,10 @@ fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     let data = reply.encode();
     let packet = Packet { channel: Channel::Reply(motor), data };
     let reports = &truth.pages[motor.index()].reports;
-    // A broadcast is answered by motors that nobody expects to, too.
-    let of_broadcast = |sending: &Sending| sending.put == 0 && sending.heard > 0;
+    // A broadcast is answered by motors that nobody expects to, too; and errors are told also where they come late.
+    let may_come = |it: &Sending| it.heard > 0 && (it.put == 0 || data[0] == 0x9A);
     let is_unexpected =
-        truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(of_broadcast);
+        truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(may_come);
     let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)
         // Of an error the voltage comes back, and not all bits of the flags.
         || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);

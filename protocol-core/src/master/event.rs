@@ -196,7 +196,8 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor reports by itself: active reply (0xB6) or error reporting (function 3).
+    /// A motor reports by itself: active reply (0xB6) or error reporting (function 3). So, too, is told that it has errors
+    /// where it answers a read of its status too late.
     Report {
         /// The motor.
         motor: MotorId,

@@ -121,7 +121,7 @@ impl<const N: usize> Master<N> {
                 self.broadcast.note_motion_ended_of(id);
                 Some(Event::StopConfirmed { motor: id })
             }
-            Meaning::Nothing => None,
+            Meaning::Nothing => self.errors_of(id, packet),
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
                 self.broadcast.note_answer_of(id, now, &self.config);
@@ -136,7 +136,7 @@ impl<const N: usize> Master<N> {
                 if let Some(trips) = &mut self.round_trips {
                     trips.was_too_short(&mut self.config);
                 }
-                Some(self.stray(id, &packet.data))
+                Some(self.errors_of(id, packet).unwrap_or_else(|| self.stray(id, &packet.data)))
             }
             Meaning::Unasked { is_doubled } => {
                 Some(self.handle_unasked(id, packet, now, is_doubled))
@@ -205,7 +205,8 @@ impl<const N: usize> Master<N> {
         }
         let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
         let is_report = match (self.motor(id), &reply) {
-            // Errors are reported without having been asked for, too (function 3).
+            _ if has_errors(&reply) => true,
+            // That there are none is reported without having been asked for, too (function 3).
             (Some(_), AnyReply::ReadStatus1(_)) => {
                 !self.broadcast.may_be_mistaken(packet.data[0], id)
             }
@@ -213,6 +214,12 @@ impl<const N: usize> Master<N> {
             (None, _) => bit != 0,
         };
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
+    }
+
+    /// What is late, or tells nothing, tells all the same that a motor has errors: it may report them by itself (function 3).
+    fn errors_of(&self, motor: MotorId, packet: &Packet) -> Option<Event> {
+        let reply = AnyReply::decode(packet, self.config.firmware).ok().filter(has_errors)?;
+        Some(Event::Report { motor, reply })
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
@@ -232,4 +239,8 @@ impl<const N: usize> Master<N> {
     fn count_stray(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| motor.health.stray = motor.health.stray.saturating_add(1));
     }
+}
+
+fn has_errors(reply: &AnyReply) -> bool {
+    matches!(reply, AnyReply::ReadStatus1(status) if !status.errors.is_empty())
 }

@@ -43,17 +43,46 @@ fn what_all_are_told_to_report_is_known_of_each() {
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
 }
 
-#[test]
-fn a_late_reply_with_the_status_is_no_error_report() {
+/// Motor 1 does not answer a read of its status. Gives what it says afterwards, with these flags, is told as.
+fn late_status(flags: u8) -> Option<Event> {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadStatus1, ms(0));
     let at = (1..100).map(ms).find(|&at| {
         let _repeats = sent(&mut master, at);
         events(&mut master, at).iter().any(|event| read.outcome(event).is_some())
     });
-    let at = at.expect("it is given up");
-    let status = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
-    assert!(matches!(reply(&mut master, 1, status, at), Some(Event::Stray { .. })));
+    reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, flags, 0], at.expect("it is given up"))
+}
+
+#[test]
+fn a_late_reply_with_the_status_is_a_report_if_it_has_errors() {
+    assert!(matches!(late_status(0), Some(Event::Stray { .. })));
+    let errors = late_status(2);
+    assert!(
+        matches!(errors, Some(Event::Report { reply: AnyReply::ReadStatus1(_), .. })),
+        "{errors:?}"
+    );
+}
+
+#[test]
+fn errors_are_told_also_where_the_status_was_asked_of_all_or_for_the_transport() {
+    let errors = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(ReadStatus1, id(2).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let told = reply(&mut master, 1, errors, ms(3));
+    assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
+
+    let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    let _stop = master.request(id(1), Stop).unwrap();
+    assert!(master.poll_transmit(ms(0)).is_some());
+    assert!(master.let_status_go_first(id(1)).is_some());
+    master.handle_transmitted(ms(0));
+    let frame = Frame { address: id(1).into(), data: errors };
+    let told = master.handle_line(&frame, ms(3));
+    assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
 }
 
 #[test]
