@@ -72,7 +72,7 @@ fn broadcast(seed: u64, direction: Direction, plan: FaultPlan) -> Broadcast {
         Direction::ToPorts => {
             world.sender((0..SENT).map(|n| (u64::from(n) * 1_000, frame(n))));
         }
-        Direction::ToNodes => {
+        Direction::ToNodes | Direction::Echo => {
             for n in 0..SENT {
                 world.run_until(micros(u64::from(n) * 1_000));
                 assert_eq!(port.transmit(&frame(n)), Ok(None));

@@ -2,12 +2,13 @@
 //! bits.
 
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::{
     SerialError, SerialPort, SerialWorld, TransceiverConfig,
 };
 use myactuator_host_std::sim::bus::trace::Event;
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, line, micros};
+use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, late_by, line, micros};
 
 fn times(heard: &[(u64, Vec<u8>)]) -> Vec<u64> {
     heard.iter().map(|(at, _)| *at).collect()
@@ -70,6 +71,40 @@ fn only_with_an_echo_one_hears_what_one_sent() {
         world.run_until(micros(100));
         // The mirror's answer.
         assert_eq!(received(&mut port), [1]);
+    }
+}
+
+#[test]
+fn what_strikes_an_echo_strikes_nothing_else() {
+    let lost = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
+    let flipped = FaultPlan { corrupt: 1.0, ..FaultPlan::NONE };
+    let late = late_by(Duration::from_micros(1_000));
+    for plan in [lost, flipped, late] {
+        let (world, _, listener) = line(1);
+        let answer = world.sender([(400, vec![7])]);
+        let echoing = TransceiverConfig { echo: true, ..Default::default() };
+        let mut port = world.port_with(echoing);
+        world.set_faults(Direction::Echo, plan);
+        port.write_all(&READ_PID).unwrap();
+        world.run_until(micros(600));
+        assert_eq!(listener.frames().concat(), [&READ_PID[..], &[7]].concat(), "{plan:?}");
+        let in_time = received(&mut port);
+        world.run_until(micros(2_000));
+        let later = received(&mut port);
+        if plan == lost {
+            assert_eq!((&in_time[..], &later[..]), (&[7][..], &[][..]));
+        } else if plan == late {
+            assert_eq!((&in_time[..], &later[..]), (&[][..], &listener.frames().concat()[..]));
+        } else {
+            let flips = in_time.iter().zip(READ_PID).map(|(a, b)| (a ^ b).count_ones());
+            assert_eq!((flips.sum::<u32>(), in_time.last(), &later[..]), (1, Some(&7), &[][..]));
+        }
+        // A plan of its own goes before that of all; another station's says nothing.
+        world.set_node_faults(answer, Direction::Echo, Some(lost));
+        world.set_node_faults(port.station(), Direction::Echo, Some(FaultPlan::NONE));
+        port.write_all(&READ_PID).unwrap();
+        world.run_until(micros(4_000));
+        assert_eq!(received(&mut port), READ_PID, "{plan:?}");
     }
 }
 

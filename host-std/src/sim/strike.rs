@@ -13,6 +13,7 @@ use super::{BusFleet, DriveHandle, FaultKind, PlannedFault};
 
 /// How often conditions are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
+/// Both ways, where a fault names none.
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 impl<B: Medium> BusFleet<B> {
@@ -98,7 +99,8 @@ impl Strike {
     /// Changes what chance does, and leaves what it did so far.
     fn change_chance<B: Medium>(&self, kernel: &mut Kernel<B>, chance: Chance) {
         let PlannedFault { motor, direction, .. } = self.fault;
-        for way in DIRECTIONS.into_iter().filter(|&way| direction.is_none_or(|only| only == way)) {
+        let ways = direction.as_ref().map_or(&DIRECTIONS[..], std::slice::from_ref);
+        for &way in ways {
             let mut change = |station| {
                 kernel.around.injector.change(station, way, |plan| chance.add_to(plan));
             };

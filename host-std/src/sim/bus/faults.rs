@@ -18,13 +18,18 @@ pub enum Direction {
     ToNodes,
     /// Sent by a node.
     ToPorts,
+    /// What an [echoing](super::rs485::TransceiverConfig::echo) transceiver hands back to whoever sent it.
+    Echo,
 }
+
+const DIRECTIONS: usize = 3;
 
 /// How likely is what. Probabilities are from 0 to 1; less is never, more is always.
 ///
 /// All but `corrupt` on CAN are drawn for each receiver by itself, as if its own transceiver,
-/// controller or adapter failed: a broadcast may reach some and not others. On the wire the frame
-/// takes its time in any case, and on CAN it is acknowledged.
+/// controller or adapter failed: a broadcast may reach some and not others, and an echo may break of
+/// what reaches all others. On the wire the frame takes its time in any case, and on CAN it is
+/// acknowledged.
 ///
 /// ```
 /// use myactuator_host_std::sim::bus::faults::FaultPlan;
@@ -114,30 +119,31 @@ pub(crate) enum Disturbance {
 struct Station {
     is_node: bool,
     /// Its own plans in place of the directions'.
-    own: [Option<FaultPlan>; 2],
+    own: [Option<FaultPlan>; DIRECTIONS],
 }
 
 /// Draws the faults.
 #[derive(Debug)]
 pub(crate) struct Injector {
-    plans: [FaultPlan; 2],
+    plans: [FaultPlan; DIRECTIONS],
     stations: Vec<Station>,
-    random: [Random; 2],
+    random: [Random; DIRECTIONS],
     pub(crate) babble: Random,
 }
 
 impl Injector {
     pub(crate) fn new(seed: u64) -> Self {
         Self {
-            plans: [FaultPlan::NONE; 2],
+            plans: [FaultPlan::NONE; DIRECTIONS],
             stations: Vec::new(),
-            random: [Random::new(seed, Stream::ToNodes), Random::new(seed, Stream::ToPorts)],
+            random: [Stream::ToNodes, Stream::ToPorts, Stream::Echo]
+                .map(|stream| Random::new(seed, stream)),
             babble: Random::new(seed, Stream::Babble),
         }
     }
 
     pub(crate) fn attach(&mut self, is_node: bool) {
-        self.stations.push(Station { is_node, own: [None; 2] });
+        self.stations.push(Station { is_node, own: [None; DIRECTIONS] });
     }
 
     pub(crate) fn set(&mut self, direction: Direction, plan: FaultPlan) {
@@ -180,17 +186,18 @@ impl Injector {
         if self.stations[sender].is_node { Direction::ToPorts } else { Direction::ToNodes }
     }
 
-    /// The plan of the node at either end, else of the direction.
-    fn plan(&self, sender: usize, receiver: usize) -> FaultPlan {
-        let direction = self.direction(sender) as usize;
+    /// The plan of the node at either end, else of the direction; of an echo, of whoever hears it.
+    fn plan(&self, sender: usize, receiver: usize, direction: Direction) -> FaultPlan {
         let node = if self.stations[sender].is_node { sender } else { receiver };
-        self.stations[node].own[direction].unwrap_or(self.plans[direction])
+        let way = direction as usize;
+        self.stations[node].own[way].unwrap_or(self.plans[way])
     }
 
     /// Whether a CAN frame of so many bits, intermission excluded, is disturbed on the wire.
     pub(crate) fn disturbance(&mut self, sender: usize, bits: u32) -> Option<Disturbance> {
-        let plan = self.plan(sender, sender);
-        let random = &mut self.random[self.direction(sender) as usize];
+        let direction = self.direction(sender);
+        let plan = self.plan(sender, sender, direction);
+        let random = &mut self.random[direction as usize];
         if !random.chance(plan.corrupt) {
             return None;
         }
@@ -201,8 +208,8 @@ impl Injector {
         })
     }
 
-    /// What happens to a message of so many units between these two. `corrupts` says whether
-    /// corruption strikes here or did on the wire.
+    /// What happens to a message of so many units between these two; if they are one, to its echo. `corrupts`
+    /// says whether corruption strikes here or did on the wire.
     pub(crate) fn fate(
         &mut self,
         sender: usize,
@@ -210,8 +217,10 @@ impl Injector {
         units: usize,
         corrupts: bool,
     ) -> Fate {
-        let plan = self.plan(sender, receiver);
-        let random = &mut self.random[self.direction(sender) as usize];
+        let is_echo = sender == receiver;
+        let direction = if is_echo { Direction::Echo } else { self.direction(sender) };
+        let plan = self.plan(sender, receiver, direction);
+        let random = &mut self.random[direction as usize];
         let lost = random.chance(plan.lose);
         let flipped = (corrupts && random.chance(plan.corrupt))
             .then(|| (random.below(units as u64) as usize, random.below(8)));

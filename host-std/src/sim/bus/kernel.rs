@@ -228,8 +228,7 @@ impl<B: Medium> Kernel<B> {
         let part = part.as_ref().filter(|_| !injector.is_quiet());
         if let Some(part) = part.filter(|part| part.message != self.message) {
             self.message = part.message;
-            let others = hearers.iter().filter(|&hearer| hearer != sender);
-            let fates = others.map(|&hearer| {
+            let fates = hearers.iter().map(|&hearer| {
                 (hearer, injector.fate(*sender, hearer, part.of, B::DELIVERS_CORRUPTED))
             });
             self.fates = fates.collect();

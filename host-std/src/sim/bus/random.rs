@@ -14,6 +14,7 @@ pub(crate) enum Stream {
     ToPorts,
     Babble,
     Line,
+    Echo,
 }
 
 impl Random {

@@ -10,7 +10,7 @@
 //!   driver is on as well arrives garbled, as a random byte. A receiver takes ten bits from the
 //!   first start bit for one byte, so two overlapping bytes are heard as one; if the line is in the
 //!   middle of a byte then, the next one that is heard is garbled too, and so on up to a pause.
-//! - A cut station's bytes reach nobody but its own echo, and nobody reaches it.
+//! - A cut station's bytes reach nobody but its own echo, which no fault strikes, and nobody reaches it.
 //! - A station at another bit rate reads a message as it samples it at its own: other bytes, and more or
 //!   fewer. Simplified: they come together, with the message's last byte, no fault strikes them, and a
 //!   message that collided is read as it was sent.
@@ -38,7 +38,8 @@ pub struct TransceiverConfig {
     pub switch_to_send: Duration,
     /// From the last stop bit until the driver lets go of the line and the station listens.
     pub switch_to_receive: Duration,
-    /// Whether it hears the line while it sends, its own bytes included, as many USB adapters do.
+    /// Whether it hears the line while it sends, its own bytes included, as many USB adapters do. Faults of
+    /// [their own](super::faults::Direction::Echo) strike these.
     pub echo: bool,
     /// How likely each switch of direction makes the station hear a random byte that nobody sent,
     /// from 0 to 1.
