@@ -208,6 +208,10 @@ impl<W: Rough> Session<W> {
             Some(patience) => master.request_with(motor, command, patience),
             None => master.request(motor, command),
         };
+        if asked.is_err() {
+            // Nobody has heard its token, and there are few.
+            self.asked -= 1;
+        }
         match asked {
             Ok(ticket) => {
                 assert!(!(moves && awaits_resume), "{kind:?} {}", self.told());

@@ -55,7 +55,7 @@ pub(crate) struct Session<W: Rough> {
 impl<W: Rough> Session<W> {
     pub(crate) fn new(scenario: Scenario) -> Self {
         let stage = Stage::<W>::new(&scenario, scenario.config::<W>());
-        for direction in [Direction::ToNodes, Direction::ToPorts] {
+        for direction in [Direction::ToNodes, Direction::ToPorts, Direction::Echo] {
             stage.world.set_faults(direction, scenario.plan::<W>(direction));
         }
         {

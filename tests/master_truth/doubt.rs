@@ -17,14 +17,23 @@ const ANSWERS: u8 = 4;
 pub(super) enum Doubt {
     /// It was said to echo, or this is no line.
     Never,
-    /// So many answers are to come yet; this was sent last of what may bring one.
-    Open { left: u8, asked: Option<(MotorId, u8)> },
+    /// So many answers are to come yet; this was sent last of what may bring one; and what has come.
+    Open { left: u8, asked: Option<(MotorId, u8)>, come: Come },
+}
+
+/// What has come to reads that show an echo.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Come {
+    /// An echo last, to this.
+    echo: Option<(MotorId, u8)>,
+    /// So many answers since, without theirs.
+    without: u8,
 }
 
 impl Doubt {
     pub(super) fn of(config: &Config) -> Self {
         if matches!(config.bus, Bus::Rs485 { echo: false, .. }) {
-            Self::Open { left: ANSWERS, asked: None }
+            Self::Open { left: ANSWERS, asked: None, come: Come::default() }
         } else {
             Self::Never
         }
@@ -34,26 +43,47 @@ impl Doubt {
         matches!(self, Self::Open { left: 1.., .. })
     }
 
+    /// Noise has taken the echoes of so many reads in a row that an adapter which echoes seems not to.
+    pub(super) fn is_misled(self) -> bool {
+        matches!(self, Self::Open { come: Come { without: ANSWERS.., .. }, .. })
+    }
+
     /// The bus has taken this.
     pub(super) fn taken(&mut self, motor: MotorId, name: Name) {
-        if let Self::Open { asked, .. } = self
+        if let Self::Open { asked, come, .. } = self
             && NEVER_LIKE_THEIR_REPLY.contains(&name.byte)
         {
-            *asked = Some((motor, name.byte));
+            (*asked, come.echo) = (Some((motor, name.byte)), None);
         }
     }
 
     /// This has come, from a drive or from the adapter.
     pub(super) fn delivered(&mut self, motor: MotorId, packet: &Packet) {
         let byte = packet.data[0];
-        let Self::Open { left, asked } = self else { return };
+        if matches!(byte, 0x76 | 0xB6) {
+            // No drive answers these.
+            return self.has_echoed();
+        }
+        let Self::Open { left, asked, come } = self else { return };
         if !NEVER_LIKE_THEIR_REPLY.contains(&byte) {
             return;
         }
         if packet.data[3] != DONE {
-            *left = ANSWERS;
-        } else if asked.take_if(|asked| *asked == (motor, byte)).is_some() {
-            *left = left.saturating_sub(1);
+            (*left, *asked) = (ANSWERS, None);
+            *come = Come { echo: Some((motor, byte)), without: 0 };
+            return;
+        }
+        let was_asked = asked.take_if(|asked| *asked == (motor, byte)).is_some();
+        *left = left.saturating_sub(was_asked.into());
+        // Behind its echo it shows nothing more.
+        let has_echoed = come.echo.take_if(|echo| *echo == (motor, byte)).is_some();
+        come.without = come.without.saturating_add((!has_echoed).into());
+    }
+
+    /// What no drive answers has come back.
+    pub(super) fn has_echoed(&mut self) {
+        if let Self::Open { left, asked, come } = self {
+            (*left, *asked, *come) = (ANSWERS, None, Come::default());
         }
     }
 

@@ -23,6 +23,9 @@ pub(crate) enum Excuse {
     HeldBack,
     /// The drive has lost its master, and what it said of that was lost: it sends back what it ignores.
     LostMasterUntold,
+    /// Noise has taken the echoes of four reads in a row of an adapter that nobody said to echo, so that it seems
+    /// not to; and this is an echo.
+    EchoesTaken,
     /// A shaft that turns fast is told late, after a reply that was lost.
     FastAndLate,
     /// The drive reports by itself (0xB6, function 3) what looks like an answer.

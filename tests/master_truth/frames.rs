@@ -244,6 +244,7 @@ impl Truth {
         let copies = 1 + u32::from(self.echoes);
         let may_pass_for_echo = self.doubt.is_open() && !has_values(name.byte);
         self.doubt.delivered(motor, packet);
+        let is_misled = self.echoes && self.doubt.is_misled();
         let page = self.page(motor);
         let is_lost_master = packet.data[0] == 0xF1;
         // What may pass for an echo need not be taken for one.
@@ -263,6 +264,9 @@ impl Truth {
             let silence = page.delivered_at.map_or(unknown, |before| now - before);
             page.longest_silence = page.longest_silence.max(silence);
             page.delivered_at = Some(now);
+        }
+        if is_misled && packet.data[3] != DONE && !is_lost_master {
+            page.excuses.note(question, Excuse::EchoesTaken, now, window);
         }
         if name == SHOWS_ECHO {
             // Nobody has asked that is told the answer.

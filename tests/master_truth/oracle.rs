@@ -147,9 +147,15 @@ impl Oracle {
                 self.totals.unanswered += 1;
                 self.told[motor.index()].unanswered += 1;
                 let (now, window) = (truth.now, truth.late_window);
+                let is_echo = [0xA2, 0xA4]
+                    .into_iter()
+                    .any(|byte| is_echo_for_answer(motor, &[byte, 0, 0, 0, 0, 0, 0, 0], truth));
                 let page = truth.page(motor);
                 page.turning.was_given_up(now + window);
                 // A drive that has lost its master answers the first command, and has ignored it.
+                if is_echo {
+                    page.set_points.seemed_ignored();
+                }
                 if !page.set_points.unanswered() && page.lost_master_delivered == 0 {
                     truth.breaks(format!("{event:?}, and all were answered"));
                 }
@@ -238,6 +244,8 @@ impl Oracle {
                 true
             }
             Failure::NotExecuted if of.ignored > 0 || truth.flips => true,
+            // What comes back as it was sent was handed back, if it is no echo.
+            Failure::NotExecuted if is_echo_for_answer(motor, &open.data, truth) => true,
             // It ignored another one, and that was not seen. An acknowledgement is the command itself.
             Failure::NotExecuted => {
                 let page = &mut truth.pages[motor.index()];
@@ -315,6 +323,8 @@ impl Oracle {
         let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
         // Counters stay at their largest value.
         let most = u64::from(u16::MAX);
+        // What seemed ignored is neither.
+        let exactly = exactly && !truth.excused.contains_key(&Excuse::EchoesTaken);
         let is_wrong = answered + lost > asking
             || exactly && answered + lost != asking
             || lost + u64::from(ignored) < told.no_reply.max(told.unanswered)
@@ -346,6 +356,17 @@ pub(super) fn is_move(data: &Data) -> bool {
 fn sending(motor: MotorId, data: &Data, truth: &Truth) -> Sending {
     let packet = Packet { channel: Channel::Command(motor.into()), data: *data };
     truth.pages[motor.index()].sendings.get(&Name::of(&packet)).copied().unwrap_or_default()
+}
+
+/// Whether an echo of this may have passed for what its drive hands back. Then it is excused.
+fn is_echo_for_answer(motor: MotorId, data: &Data, truth: &mut Truth) -> bool {
+    let question = question_of(&Packet { channel: Channel::Reply(motor), data: *data });
+    let excuse = truth.pages[motor.index()].excuses.of(question, truth.now);
+    let is_echo = excuse == Some(Excuse::EchoesTaken);
+    if is_echo {
+        truth.excuse(Excuse::EchoesTaken);
+    }
+    is_echo
 }
 
 /// An answer must be that motor's to this request, of a drive that has done it.

@@ -87,6 +87,8 @@ pub(crate) struct Conditions {
     /// Any call of the port may fail.
     pub(crate) fails: bool,
     pub(crate) echo: Echo,
+    /// What becomes of an echo, and so often in a hundred times.
+    pub(crate) echo_trouble: Option<(Trouble, u32)>,
     /// Each switch of direction may be heard as a byte.
     pub(crate) noise: bool,
     /// Another drive has the first one's id.
@@ -188,6 +190,12 @@ impl Scenario {
         conditions.ends_all = one_of(&[0, 1]) == 1;
         conditions.stops_again = one_of(&[0, 0, 0, 1]) == 1;
         conditions.deaf_to_all = is_can && one_of(&[0, 0, 1]) == 1;
+        if conditions.echo != Echo::None {
+            let troubles = [Trouble::Lose, Trouble::Corrupt, Trouble::Delay];
+            let trouble = troubles.get(one_of(&[0, 1, 2, 3]) as usize);
+            conditions.echo_trouble =
+                trouble.map(|&trouble| (trouble, one_of(&[1, 5, 20, 50]) as u32));
+        }
         let mut scenario = Self { trouble, percent, motors, requests, seed, conditions };
         if scenario.conditions.echo == Echo::Unknown {
             scenario.keep_the_echo_whole();
@@ -199,6 +207,7 @@ impl Scenario {
     pub(crate) fn as_first_drawn(mut self) -> Self {
         let c = &mut self.conditions;
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
+        c.echo_trouble = None;
         self
     }
 
@@ -244,7 +253,11 @@ impl Scenario {
     }
 
     pub(crate) fn plan<W: Wire>(&self, direction: Direction) -> FaultPlan {
-        let p = self.percent as f32 / 100.0;
+        let (trouble, percent) = match direction {
+            Direction::Echo => self.conditions.echo_trouble.unwrap_or((Trouble::Lose, 0)),
+            _ => (self.trouble, self.percent),
+        };
+        let p = percent as f32 / 100.0;
         let late = Self::latest::<W>();
         let to_ports = direction == Direction::ToPorts;
         let mut plan = FaultPlan {
@@ -253,7 +266,7 @@ impl Scenario {
             reorder_hold: late,
             ..FaultPlan::NONE
         };
-        match self.trouble {
+        match trouble {
             Trouble::Lose => plan.lose = p,
             Trouble::Corrupt => plan.corrupt = p,
             Trouble::Undetected => (plan.corrupt, plan.undetected) = (p, 0.5),

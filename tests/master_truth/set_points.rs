@@ -35,7 +35,8 @@ pub(crate) struct SetPoints {
     last_unanswered: Option<u32>,
     /// When the newest was taken, by the master's clock.
     taken_at: Instant,
-    /// So many had lain in the controller when they were handed back: their time may have been up, and that not told yet.
+    /// So many had lain in the controller when they were handed back: their time may have been up, and that not told
+    /// yet. And so many seemed to be handed back by a drive that ignored them, and may be answered all the same.
     untold: u64,
 }
 
@@ -106,6 +107,11 @@ impl SetPoints {
     /// Whether one was dropped for no reason: because of a restart that has not been told for so long.
     pub(crate) fn is_dropped_for_nothing(&self, now: Instant, within: Duration) -> bool {
         self.owes_restart.is_some_and(|since| now - since > within)
+    }
+
+    /// An echo of one has passed for what a drive hands back.
+    pub(crate) fn seemed_ignored(&mut self) {
+        self.untold += 1;
     }
 
     /// It is told that one was not answered. Gives whether that can be true.

@@ -315,10 +315,11 @@ impl Read for RoughSerial {
             let Some((_, byte)) = self.arrived.pop_front_if(|(at, _)| *at <= now) else { break };
             (*place, count) = (byte, count + 1);
             let Fed::Frame(frame) = self.received.feed(byte) else { continue };
-            if let Some(packet) = frame.as_reply() {
-                let mut truth = self.book.open();
-                truth.tick(now);
-                truth.delivered(&packet);
+            let mut truth = self.book.open();
+            truth.tick(now);
+            match frame.as_reply() {
+                Some(packet) => truth.delivered(&packet),
+                None => truth.doubt.has_echoed(),
             }
         }
         Ok(count)
