@@ -196,11 +196,7 @@ impl Scenario {
             conditions.echo_trouble =
                 trouble.map(|&trouble| (trouble, one_of(&[1, 5, 20, 50]) as u32));
         }
-        let mut scenario = Self { trouble, percent, motors, requests, seed, conditions };
-        if scenario.conditions.echo == Echo::Unknown {
-            scenario.keep_the_echo_whole();
-        }
-        scenario
+        Self { trouble, percent, motors, requests, seed, conditions }
     }
 
     /// The world that this seed drew before there was more to draw.
@@ -208,12 +204,14 @@ impl Scenario {
         let c = &mut self.conditions;
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
         c.echo_trouble = None;
+        if c.echo == Echo::Unknown {
+            self.keep_the_line_to_the_master();
+        }
         self
     }
 
-    /// An echo that nobody configured is given up when one does not come back. Where anybody speaks
-    /// meanwhile, that happens again and again.
-    fn keep_the_echo_whole(&mut self) {
+    /// Nobody speaks but who is asked.
+    fn keep_the_line_to_the_master(&mut self) {
         if self.trouble.is_by_hand() {
             self.trouble = Trouble::Lose;
         }
