@@ -12,6 +12,7 @@
 //! - `names`: how frames are told apart. `truth`: what really happened. `stops`: when first stops went.
 //!   `to_all`: what all are told at once, and what becomes of that.
 //!   `set_points`: what became of each. `turning`: where shafts are, and what shows of turns that are lost.
+//!   `restarts`: what else shows that a motor has restarted.
 //! - `bounds`: how long anything may take at the most, and what time counts for it. `watch`: that it does.
 //! - `oracle`: what must hold of each event by that. `excuses`: what no master can know, each with its name,
 //!   noted when it happens.
@@ -30,6 +31,7 @@ mod master_truth {
     mod hosts;
     mod names;
     mod oracle;
+    mod restarts;
     mod runs;
     mod scenarios;
     mod set_points;

@@ -4,15 +4,20 @@ use std::collections::VecDeque;
 use std::marker::PhantomData;
 
 use myactuator_host_std::sim::bus::Node;
-use myactuator_protocol_core::command::{PidIndex, ReadMultiTurnAngle, ReadPid, ReadStatus2, Stop};
+use myactuator_protocol_core::command::{
+    AbsolutePosition, IncrementalPosition, PidIndex, ReadMultiTurnAngle, ReadPid, ReadStatus2,
+    Speed, Stop,
+};
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Channel, Command, Data, MotorId, Packet, Target};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::rig::with_token;
 use myactuator_tests::wire::Wire;
 
-use super::names::{REPORTS, STRANGERS, has_angle, has_values, is_asking};
+use super::names::{REPORTS, STRANGER_MARK, STRANGERS, has_angle, has_values, is_asking};
+use super::restarts::WRAPS_MS;
 use super::truth::{Book, DONE};
 use super::turning::Shaft;
 
@@ -23,6 +28,7 @@ const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 const HEARTBEAT: Duration = Duration::from_millis(20);
 /// It hears nothing for so long first: that is how it loses its master.
 const DEAF: Duration = Duration::from_millis(8);
+const DAY_MS: u64 = 24 * 3_600 * 1_000;
 /// How long a drive takes to restart (field notes).
 pub(crate) const BOOT: Duration = Duration::from_millis(1_100);
 
@@ -37,6 +43,8 @@ pub(crate) struct Drive<W> {
     /// It hears nothing before: it restarts, or its wire is loose.
     deaf_until: Instant,
     booted: Instant,
+    /// It had run for so long when the master began.
+    ran_ms: u64,
     /// It has lost its master, and says so next at this time.
     lost: Option<Instant>,
     /// What it reports by itself: command byte, interval, next time.
@@ -66,6 +74,7 @@ impl<W> Drive<W> {
             book,
             deaf_until: Instant::ZERO,
             booted: Instant::ZERO,
+            ran_ms: 0,
             lost: None,
             report: None,
             reported: 0,
@@ -75,6 +84,19 @@ impl<W> Drive<W> {
             repeats: 0,
             is_deaf_to_all: false,
         }
+    }
+
+    /// It has run for long already, as this decides.
+    pub(crate) fn has_run(&mut self, dice: &mut Dice) {
+        // The last is about to begin anew.
+        let ages = [
+            dice.below(10_000),
+            dice.below(DAY_MS),
+            dice.below(WRAPS_MS),
+            WRAPS_MS - 1 - dice.below(10_000),
+        ];
+        self.ran_ms = ages[dice.below(4) as usize];
+        self.book.open().pages[self.motor.index()].run_time.had_run(self.ran_ms);
     }
 
     /// It loses its master.
@@ -103,7 +125,7 @@ impl<W> Drive<W> {
         self.receiver.reset();
         self.shaft.loses_turns(now);
         self.deaf_until = now + self.boot;
-        self.booted = self.deaf_until;
+        (self.booted, self.ran_ms) = (self.deaf_until, 0);
         (self.lost, self.report, self.last_reply) = (None, None, None);
         self.book.open().has_restarted(self.motor);
     }
@@ -164,7 +186,7 @@ impl<W> Drive<W> {
                 data = [motor.get(), command[0], command[1], DONE, 0, 0, 0, 0];
             }
             _ if command[0] == 0xB1 => {
-                let run_time = (now - self.booted).as_millis() as u32;
+                let run_time = (self.ran_ms + (now - self.booted).as_millis()) as u32;
                 data[4..].copy_from_slice(&run_time.to_le_bytes());
             }
             _ if has_values(command[0]) => {
@@ -222,19 +244,40 @@ impl<W: Wire> Node<W::Frame> for Drive<W> {
     }
 }
 
-/// Another master, which asks the first motor now and then, and sometimes stops it.
+/// Another master, which asks the first motor now and then, sometimes stops it, and may move it.
 pub(crate) struct Stranger<W> {
     wire: PhantomData<W>,
     dice: Dice,
     next: Instant,
     asked: u32,
     motor: MotorId,
+    /// Decides when it moves it, if it does.
+    moves: Option<Dice>,
 }
 
 impl<W> Stranger<W> {
-    pub(crate) fn new(motor: MotorId, seed: u64) -> Self {
+    pub(crate) fn new(motor: MotorId, seed: u64, moves: bool) -> Self {
         let next = Instant::from_micros(2_000);
-        Self { wire: PhantomData, dice: Dice::new(seed), next, asked: 0, motor }
+        let moves = moves.then(|| Dice::new(seed ^ 0x50BE));
+        Self { wire: PhantomData, dice: Dice::new(seed), next, asked: 0, motor, moves }
+    }
+
+    /// What moves it, if it is time for that.
+    fn motion(&mut self) -> Option<Data> {
+        let dice = self.moves.as_mut()?;
+        let value = (STRANGERS | self.asked) as i32;
+        let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(value));
+        let mut data = match dice.below(6) {
+            0 => return Some(IncrementalPosition { max_speed, angle }.encode()),
+            1 => AbsolutePosition { max_speed, angle }.encode(),
+            2 => {
+                let speed = SpeedTarget::from_raw(value);
+                Speed { max_torque: MaxTorque::from_raw(0), speed }.encode()
+            }
+            _ => return None,
+        };
+        data[1] = STRANGER_MARK;
+        Some(data)
     }
 }
 
@@ -257,6 +300,7 @@ impl<W: Wire> Node<W::Frame> for Stranger<W> {
             16..19 => with_token(ReadStatus2, token).encode(),
             _ => with_token(Stop, token).encode(),
         };
+        let data = self.motion().unwrap_or(data);
         Some(W::frame(&Packet { channel: Channel::Command(self.motor.into()), data }))
     }
 

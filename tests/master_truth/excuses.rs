@@ -26,6 +26,8 @@ pub(crate) enum Excuse {
     /// Noise has taken the echoes of four reads in a row of an adapter that nobody said to echo, so that it seems
     /// not to; and this is an echo.
     EchoesTaken,
+    /// A drive's run time has begun anew, as it does after 49.7 days, and the master had not read it.
+    RunTimeBeganAnew,
     /// A shaft that turns fast is told late, after a reply that was lost.
     FastAndLate,
     /// The drive reports by itself (0xB6, function 3) what looks like an answer.

@@ -37,7 +37,9 @@ impl Truth {
                     // Who does not answer is counted as missing that.
                     let page = self.page(motor);
                     page.answered_newest &= is_stop;
-                    page.is_told &= !name.moves();
+                    if name.moves() {
+                        (page.is_told, page.tellings) = (false, 0);
+                    }
                     self.note_taken(motor, packet, put);
                 }
             }
@@ -76,6 +78,7 @@ impl Truth {
             let called = page.stop_called;
             page.stops_taken += 1;
             page.is_told = true;
+            page.tellings += 1;
             self.note_taken(motor, packet, called);
             return;
         }
@@ -102,7 +105,9 @@ impl Truth {
             ""
         };
         // What is refused while it is stopped: reports (0xB6), too.
-        page.is_told &= !is_dangerous && name.byte != 0xB6;
+        if is_dangerous || name.byte == 0xB6 {
+            (page.is_told, page.tellings) = (false, 0);
+        }
         if name.is_set_point() {
             page.newest_set_point = page.newest_set_point.max(name.token);
         }
@@ -157,8 +162,9 @@ impl Truth {
             if is_stop {
                 // One to all is nobody's own.
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
-                if is_own && name != page.stop {
-                    // One before this, which told it or did not.
+                page.tellings = page.tellings.saturating_sub(u32::from(is_own));
+                if is_own && name != page.stop && page.tellings == 0 {
+                    // One before this, which alone had told it.
                     (page.is_told, page.was_told) = (false, false);
                 }
                 page.is_told &= !is_own || page.stops_taken > 0 || page.was_told;

@@ -9,6 +9,8 @@ pub(crate) const REQUESTS: u32 = 0x0100_0000;
 pub(crate) const REPORTS: u32 = 0x3D00_0000;
 /// Tokens of another master.
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
+/// Marks its set-points, whose token comes back in half.
+pub(crate) const STRANGER_MARK: u8 = 9;
 
 /// What tells one command and its replies from all others of a motor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -29,6 +31,9 @@ impl Name {
             (Channel::MotionReply(_), _) => (0, u32::from(u16::from_be_bytes([d[1], d[2]]))),
             // The reply's value lies where the others have their token.
             (_, 0xB1) => (0xB1, REQUESTS | u32::from_le_bytes([d[1], d[2], d[3], 0])),
+            (_, byte) if has_angle(byte) && d[1] == STRANGER_MARK => {
+                (byte, STRANGERS | token_of(d) & 0xFFFF)
+            }
             // The angle of their feedback lies in the other half.
             (_, 0xA2) if d[1] != STREAM_MARK => (0xA2, REQUESTS | token_of(d) & 0xFFFF),
             (_, byte) if has_angle(byte) => (byte, token_of(d) & 0xFFFF),

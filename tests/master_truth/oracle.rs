@@ -8,8 +8,9 @@ use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
 
 use super::excuses::Excuse;
 use super::names::{Name, has_angle, has_values, question_of};
+use super::restarts::{check_restarted, note_answered};
 use super::to_all::STOP;
-use super::truth::{DONE, MAY_HAVE_RESTARTED, Sending, Truth};
+use super::truth::{DONE, Sending, Truth};
 
 /// A stop is given up after so many.
 const STOP_ATTEMPTS: u32 = 15;
@@ -125,6 +126,8 @@ impl Oracle {
                     truth.breaks(format!("{event:?} of a {:?}", open.kind));
                 }
                 check_answer(ticket.motor(), &open.data, &data, truth);
+                let of = sending(ticket.motor(), &open.data, truth);
+                note_answered(ticket.motor(), &data, &of, truth);
             }
             Event::Sent { ticket, .. } => {
                 let Some(open) = self.close(ticket, event, truth) else { return };
@@ -406,13 +409,20 @@ fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
 }
 
 /// Whether something holds that excuses what is wrong with an answer to this; else it is broken.
-fn excused_or(motor: MotorId, asked: &Packet, truth: &mut Truth, what: impl FnOnce() -> String) {
+fn excused_or(
+    motor: MotorId,
+    asked: &Packet,
+    truth: &mut Truth,
+    what: impl FnOnce() -> String,
+) -> Option<Excuse> {
     let (now, window, question) = (truth.now, truth.late_window, question_of(asked));
     let excuses = &mut truth.pages[motor.index()].excuses;
-    match excuses.take(question, now, window).or_else(|| excuses.doubling(now)) {
+    let excuse = excuses.take(question, now, window).or_else(|| excuses.doubling(now));
+    match excuse {
         Some(excuse) => truth.excuse(excuse),
         None => truth.breaks(what()),
     }
+    excuse
 }
 
 /// Feedback must be that motor's, to a set-point that it has executed, or late to a request of the same
@@ -428,7 +438,13 @@ fn check_feedback(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     if truth.flips || data[3] == DONE && name.moves() && sending.heard > sending.ignored {
         return;
     }
-    excused_or(motor, &packet, truth, || format!("motor {motor}: {reply:?} is no feedback"));
+    let excuse =
+        excused_or(motor, &packet, truth, || format!("motor {motor}: {reply:?} is no feedback"));
+    if let Some(made_up) = excuse.filter(|excuse| *excuse != Excuse::Doubled) {
+        // From such a place it jumps back.
+        let now = truth.now;
+        truth.page(motor).misled = Some((made_up, now));
+    }
 }
 
 /// Where the motor says it is.
@@ -479,36 +495,5 @@ fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
         || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);
     if !is_report && !truth.flips {
         excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} by itself"));
-    }
-}
-
-/// It has restarted, or may have: nothing was heard of it for a second.
-fn check_restarted(motor: MotorId, truth: &mut Truth) {
-    let now = truth.now;
-    let page = &mut truth.pages[motor.index()];
-    // What ends the silence may be an answer that is like an echo.
-    let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
-    let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
-    let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
-    // A run time of 0, sent back by a drive that has ignored the question; feedback of long ago, that a bus has held
-    // back for longer than anybody expects; feedback that another station has made up, in motion mode (0) too.
-    let misleading =
-        [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
-    let may_seem_so = page.turning.may_seem_to_jump(now);
-    // From a place that was made up it jumps back.
-    let was_misled = std::mem::replace(&mut page.misled, misleading.filter(|_| !may_have && !has));
-    let misleading = misleading.or(was_misled);
-    page.awaits_resume = true;
-    page.set_points.restarted();
-    page.turning.restarted();
-    if truth.twin == Some(motor) && !may_have && !has {
-        // The run times of two drives: one may be behind the other's.
-        truth.excuse(Excuse::TwoMotorsOfOneId);
-    } else if let Some(excuse) = misleading.filter(|_| !may_have && !has) {
-        truth.excuse(excuse);
-    } else if may_seem_so && !may_have && !has {
-        truth.excuse(Excuse::FastAndLate);
-    } else if !may_have && !has && !truth.flips {
-        truth.breaks(format!("motor {motor} has not restarted"));
     }
 }

@@ -95,6 +95,10 @@ pub(crate) struct Conditions {
     pub(crate) twins: bool,
     /// Another master asks the first motor.
     pub(crate) stranger: bool,
+    /// And moves it.
+    pub(crate) stranger_moves: bool,
+    /// Drives have run for long when the master begins, each for another time.
+    pub(crate) have_run: bool,
     /// Drives restart, by themselves and asked to, and that takes them 1.1 s.
     pub(crate) restarts: bool,
     /// Drives lose their master.
@@ -196,6 +200,8 @@ impl Scenario {
             conditions.echo_trouble =
                 trouble.map(|&trouble| (trouble, one_of(&[1, 5, 20, 50]) as u32));
         }
+        conditions.stranger_moves = conditions.stranger && one_of(&[0, 1]) == 1;
+        conditions.have_run = one_of(&[0, 1]) == 1;
         Self { trouble, percent, motors, requests, seed, conditions }
     }
 
@@ -204,6 +210,7 @@ impl Scenario {
         let c = &mut self.conditions;
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
         c.echo_trouble = None;
+        (c.stranger_moves, c.have_run) = (false, false);
         if c.echo == Echo::Unknown {
             self.keep_the_line_to_the_master();
         }

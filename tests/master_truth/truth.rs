@@ -12,6 +12,7 @@ use super::bounds::{Clocks, Quiet};
 use super::doubt::Doubt;
 use super::excuses::{Excuse, Excuses};
 use super::names::Name;
+use super::restarts::RunTime;
 use super::set_points::SetPoints;
 use super::stops::{Answers, Offers};
 use super::to_all::ToAll;
@@ -77,6 +78,8 @@ pub(crate) struct Page {
     pub(super) is_told_with_all: bool,
     /// The bus has taken a stop of it, and nothing since that a stop refuses: each other's first goes before one more.
     pub(super) is_told: bool,
+    /// So many has it taken since then.
+    pub(super) tellings: u32,
     /// So it was when this stop was called.
     pub(super) was_told: bool,
     /// It may have been begun anew, so that nobody knows which of its sendings is the first.
@@ -105,9 +108,10 @@ pub(crate) struct Page {
     /// The master has told it to restart, and not reported that.
     pub(crate) was_reset: bool,
     pub(crate) awaits_resume: bool,
-    /// A restart was told that was none, for this reason, and no other since.
-    pub(super) misled: Option<Excuse>,
+    /// A restart was told that was none, or a place where it was not, for this reason, and no other since.
+    pub(super) misled: Option<(Excuse, Instant)>,
     pub(crate) turning: Turning,
+    pub(crate) run_time: RunTime,
     /// How often the master has heard that it has lost it.
     pub(crate) lost_master_delivered: u32,
     /// It has said so, and none of that has reached the master.
@@ -138,6 +142,7 @@ pub(crate) struct Truth {
     /// No reply counts as lost that comes within this.
     pub(super) longest_response: Duration,
     pub(crate) set_point_max_age: Duration,
+    pub(super) restart_takes: Duration,
     pub(super) offers: Offers,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
@@ -192,6 +197,7 @@ impl Book {
             late_window: config.late_window,
             longest_response: config.longest_response.min(config.reply_timeout),
             set_point_max_age: config.set_point_max_age,
+            restart_takes: config.restart_time,
             offers: Offers::new(config),
             failures: 0,
             clocks: Clocks::default(),
@@ -315,7 +321,9 @@ impl Truth {
 
     pub(crate) fn has_restarted(&mut self, motor: MotorId) {
         let moment = self.next_moment();
-        self.page(motor).restarted = Some(moment);
+        let page = self.page(motor);
+        page.restarted = Some(moment);
+        page.run_time.begins_at_zero();
     }
 
     /// The port has failed or refused: what waits may be dropped.

@@ -459,6 +459,9 @@ impl<W: Rough> Stage<W> {
             let seed = scenario.seed ^ number << 32;
             let mut drive = Drive::<W>::new(motor, seed, book.clone());
             drive.boot = if conditions.restarts { BOOT } else { Duration::ZERO };
+            if conditions.have_run {
+                drive.has_run(&mut Dice::new(seed ^ 0xB007));
+            }
             drive.repeats = if conditions.repeats { 50 } else { 0 };
             drive.is_deaf_to_all = conditions.deaf_to_all && Dice::new(seed).below(2) == 0;
             let drive = Arc::new(Mutex::new(drive));
@@ -472,7 +475,8 @@ impl<W: Rough> Stage<W> {
             seat(MotorId::MIN, 99);
         }
         if conditions.stranger {
-            W::seat(&world, Stranger::<W>::new(MotorId::MIN, scenario.seed));
+            let moves = conditions.stranger_moves;
+            W::seat(&world, Stranger::<W>::new(MotorId::MIN, scenario.seed, moves));
         }
         let (first, count, noted) = (stations[0].index(), scenario.motors, book.clone());
         world.observe(move |record| {

@@ -213,7 +213,8 @@ pub enum Event {
     ///   shows by nothing but the next two: read its run time after each silence, and before a stop is lifted.
     /// - It says in answer to a request (0xB1) that it has run for less long than since it was first heard, or than it said
     ///   before and the time since: by more than 250 ms and 1/64 of what it says, for its clock may differ. Not where it is
-    ///   known for 48 days, and not in answer to a command to all.
+    ///   known for 48 days, and not in answer to a command to all. So does one that has not restarted, whose time begins
+    ///   anew after 49.7 days: if it was not read since it was first heard, or said to have restarted.
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
     ///   turned since it told one within 18 ms of a set-point; in motion mode, an eighth of the scale beyond 500 steps of
     ///   it in a millisecond. Feedback that answers requests tells nothing of it.

@@ -1,0 +1,132 @@
+//! What shows that a motor has restarted, beside its turns: how long it was silent, and how long it says that it has run.
+
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Data, MotorId};
+
+use super::excuses::Excuse;
+use super::truth::{MAY_HAVE_RESTARTED, Sending, Truth};
+
+/// A run time begins anew after so many milliseconds.
+pub(super) const WRAPS_MS: u64 = 1 << 32;
+/// Who is known for so long says nothing.
+const IS_OLD: i64 = 48 * 24 * 3_600 * 1_000_000;
+/// By so much, and one part in so many, a drive's clock may differ; and so much the steps that are counted in.
+const CLOCKS_DIFFER: i64 = 250_000;
+const CLOCKS_DIFFER_BY: i64 = 64;
+const STEPS: i64 = 10_000;
+/// A restart that a run time shows is told right behind it.
+const IS_TOLD: Duration = Duration::from_millis(50);
+
+/// What is known of how long a drive has run.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RunTime {
+    /// Since when the master has known it to run, by its clock, in microseconds.
+    since: Option<i64>,
+    /// It has shown a restart then, and none was told yet.
+    shown: Option<Instant>,
+    /// When it begins anew, in the world's time, unless the master knows how long it has run.
+    begins_anew: Option<Instant>,
+    /// It was read first when it had begun anew: then, by the master's clock.
+    read_anew: Option<Instant>,
+}
+
+impl RunTime {
+    /// The drive had run for so long when the world began.
+    pub(crate) fn had_run(&mut self, ran_ms: u64) {
+        self.begins_anew = Some(Instant::from_millis(WRAPS_MS - ran_ms));
+    }
+
+    /// The drive restarts, and counts from 0.
+    pub(crate) fn begins_at_zero(&mut self) {
+        self.begins_anew = None;
+    }
+
+    /// Something of it was told.
+    fn is_there(&mut self, now: Instant) {
+        self.since.get_or_insert(now.as_micros() as i64);
+    }
+
+    /// It is told that it has restarted; it may be about to until then.
+    fn restarted(&mut self, until: Instant) {
+        (self.since, self.shown) = (Some(until.as_micros() as i64), None);
+    }
+
+    /// It is told that it has run for so long, in answer to what was sent then.
+    fn read(&mut self, ran_ms: u32, sent: Instant, now: Instant, world: Instant, shows: bool) {
+        let ran = i64::from(ran_ms) * 1_000;
+        let least = self.since.map_or(0, |since| sent.as_micros() as i64 - since);
+        let most = ran + ran / CLOCKS_DIFFER_BY + CLOCKS_DIFFER + STEPS;
+        if shows && (most..IS_OLD).contains(&least) {
+            self.shown.get_or_insert(now);
+        }
+        self.since = Some(now.as_micros() as i64 - ran);
+        let has_begun_anew = self.begins_anew.take().is_some_and(|at| at <= world);
+        self.read_anew = has_begun_anew.then_some(now);
+    }
+
+    /// It may say less than it has run, and nobody could know.
+    fn may_have_begun_anew(&self, now: Instant, world: Instant) -> bool {
+        self.begins_anew.is_some_and(|at| at <= world)
+            || self.read_anew.is_some_and(|at| now - at <= IS_TOLD)
+    }
+
+    /// A restart that it shows was not told in time.
+    pub(crate) fn is_restart_untold(&self, now: Instant) -> bool {
+        self.shown.is_some_and(|since| now - since > IS_TOLD)
+    }
+}
+
+/// It is told that this motor has answered a request of a caller's.
+pub(super) fn note_answered(motor: MotorId, data: &Data, of: &Sending, truth: &mut Truth) {
+    let (now, world) = (truth.now, truth.world);
+    let is_clear = !truth.flips && truth.twin != Some(motor);
+    let page = truth.page(motor);
+    page.run_time.is_there(now);
+    if data[0] != 0xB1 {
+        return;
+    }
+    let ran_ms = u32::from_le_bytes([data[4], data[5], data[6], data[7]]);
+    // One of several sendings may have been answered, and what was made up says nothing.
+    let is_its_own = of.taken == 1 && of.delivered == 1 && of.ignored == 0;
+    let is_plain = is_clear && is_its_own && page.excuses.of((0xB1, 0), now).is_none();
+    let shows = is_plain && page.restarted.is_some();
+    page.run_time.read(ran_ms, of.last_taken, now, world, shows);
+}
+
+/// It has restarted, or may have: nothing was heard of it for a second.
+pub(super) fn check_restarted(motor: MotorId, truth: &mut Truth) {
+    let (now, world, restart_takes) = (truth.now, truth.world, truth.restart_takes);
+    let page = &mut truth.pages[motor.index()];
+    // What ends the silence may be an answer that is like an echo.
+    let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
+    let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
+    let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
+    // A run time of 0, sent back by a drive that has ignored the question; feedback of long ago, that a bus has held
+    // back for longer than anybody expects; feedback that another station has made up, in motion mode (0) too.
+    let misleading =
+        [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
+    let may_seem_so = page.turning.may_seem_to_jump(now);
+    // From a place that was made up it jumps back: also where this is the jump to there.
+    let was_misled = page.misled.take();
+    let is_there = was_misled.filter(|(_, told)| now - *told <= IS_TOLD);
+    let is_misled = misleading.filter(|_| !may_have && !has).map(|excuse| (excuse, now));
+    page.misled = is_misled.or(is_there);
+    let misleading = misleading.or(was_misled.map(|(excuse, _)| excuse));
+    let may_have_begun_anew = page.run_time.may_have_begun_anew(now, world);
+    page.awaits_resume = true;
+    page.run_time.restarted(now + restart_takes);
+    page.set_points.restarted();
+    page.turning.restarted();
+    if truth.twin == Some(motor) && !may_have && !has {
+        // The run times of two drives: one may be behind the other's.
+        truth.excuse(Excuse::TwoMotorsOfOneId);
+    } else if let Some(excuse) = misleading.filter(|_| !may_have && !has) {
+        truth.excuse(excuse);
+    } else if may_have_begun_anew && !may_have && !has {
+        truth.excuse(Excuse::RunTimeBeganAnew);
+    } else if may_seem_so && !may_have && !has {
+        truth.excuse(Excuse::FastAndLate);
+    } else if !may_have && !has && !truth.flips {
+        truth.breaks(format!("motor {motor} has not restarted"));
+    }
+}
