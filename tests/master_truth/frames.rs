@@ -27,6 +27,7 @@ impl Truth {
                     self.caller_reaches_all(name);
                 }
                 self.last_to_all = Some(self.now);
+                self.all_are_told(name);
                 for motor in MotorId::all() {
                     let page = self.page(motor);
                     let sending = page.sendings.get(&name).copied().unwrap_or_default();

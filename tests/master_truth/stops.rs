@@ -3,10 +3,12 @@
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::Packet;
-use myactuator_protocol_core::master::{Bus, Config, MotorSet};
+use myactuator_protocol_core::master::{Bus, Config, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::doubt::shows_echo;
+use super::names::Name;
+use super::to_all::SHUTDOWN;
 use super::truth::{Page, Truth};
 
 /// A refused port is offered it again after 1 ms, and whoever had an error or events to take first does not look
@@ -26,6 +28,17 @@ pub(crate) enum Answers {
     Unsure,
     /// Nothing it was asked for a long time.
     Never,
+}
+
+/// The one stop to all that goes before each motor's own, which reaches also whom nobody knows.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct StopToAll {
+    /// It is to go.
+    due: Option<StopKind>,
+    /// What went last.
+    went: Option<StopKind>,
+    /// All were moved at once, some of whom nobody may know.
+    were_moved: bool,
 }
 
 /// When the port is to be offered a first stop, in the world's time.
@@ -58,7 +71,39 @@ impl Offers {
 impl Truth {
     /// Not where a flipped bit may make an answer to the one to all: then a motor's own may wait.
     pub(super) fn is_first_stop_due(&self) -> bool {
-        !self.flips && self.pages.iter().any(Page::waits_for_first_stop)
+        let waits =
+            self.stop_to_all.due.is_some() || self.pages.iter().any(Page::waits_for_first_stop);
+        !self.flips && waits
+    }
+
+    /// A caller stops all, and has or has not lifted what was called before: whether that goes to all at once, too. Not
+    /// where it would hold whom a stop keeps off; and called again, if nobody was moved since, it rests.
+    pub(super) fn stops_all(&mut self, kind: StopKind, is_again: bool) {
+        let holds_who_is_off = kind == StopKind::Hold && !self.switched_off.is_empty();
+        let known = self.known.iter().map(|motor| &self.pages[motor.index()]);
+        let is_any_moved = known.clone().any(|page| !page.is_told && !page.is_stopping);
+        let is_new = !is_again && (self.stop_to_all.went != Some(kind) || is_any_moved);
+        // On CAN only all at once may have moved whom nobody knows.
+        let is_needed = !self.stop_to_all_is_answered || self.stop_to_all.were_moved;
+        if is_needed && is_new && !holds_who_is_off {
+            if !self.is_first_stop_due() {
+                self.offers.since = self.world;
+            }
+            self.stop_to_all.due = Some(kind);
+        } else if kind == StopKind::Off {
+            // It holds nobody any more, and whoever has no place was off before.
+            self.stop_to_all.due.take_if(|due| *due == StopKind::Hold);
+        }
+    }
+
+    /// The bus has taken something to all.
+    pub(super) fn all_are_told(&mut self, name: Name) {
+        let it = &mut self.stop_to_all;
+        it.were_moved |= name.moves();
+        if name.is_stop() {
+            let kind = if name.byte == SHUTDOWN { StopKind::Off } else { StopKind::Hold };
+            (it.due, it.went) = (None, Some(kind));
+        }
     }
 
     /// A caller has lifted the stop of these.
@@ -110,6 +155,9 @@ impl Truth {
 
     /// A stop was taken: every motor gets its first stop before any gets its second, and in time.
     pub(super) fn check_stops(&mut self, motor: MotorId) {
+        if self.stop_to_all.due.is_some() && !self.flips {
+            self.breaks(format!("motor {motor} is stopped, and all are to be first"));
+        }
         let page = self.page(motor);
         let is_second = page.stops_taken > 0 || page.is_told;
         let is_sure = !page.is_begun_anew && !page.may_be_stopping;

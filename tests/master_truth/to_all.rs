@@ -169,6 +169,10 @@ impl Truth {
         if let Some(it) = self.to_all.as_mut().filter(|it| it.taken == 0 && is_all) {
             it.is_over = true;
         }
+        if is_all {
+            let is_again = motors.iter().any(|motor| self.pages[motor.index()].is_stopped);
+            self.stops_all(kind, is_again);
+        }
         let (asked, steady) = (self.next_moment(), self.clocks.steady);
         for motor in motors.iter() {
             let is_off = kind == StopKind::Off || self.switched_off.contains(motor);

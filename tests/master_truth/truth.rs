@@ -14,7 +14,7 @@ use super::excuses::{Excuse, Excuses};
 use super::names::Name;
 use super::restarts::RunTime;
 use super::set_points::SetPoints;
-use super::stops::{Answers, Offers};
+use super::stops::{Answers, Offers, StopToAll};
 use super::to_all::ToAll;
 use super::turning::Turning;
 
@@ -144,6 +144,7 @@ pub(crate) struct Truth {
     pub(crate) set_point_max_age: Duration,
     pub(super) restart_takes: Duration,
     pub(super) offers: Offers,
+    pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
     pub(super) clocks: Clocks,
@@ -199,6 +200,7 @@ impl Book {
             set_point_max_age: config.set_point_max_age,
             restart_takes: config.restart_time,
             offers: Offers::new(config),
+            stop_to_all: StopToAll::default(),
             failures: 0,
             clocks: Clocks::default(),
             bus_failed_at: None,
