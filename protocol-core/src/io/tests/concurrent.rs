@@ -44,8 +44,9 @@ macro_rules! session {
         log.push(format!("{:?}", $arm.ask(id(3), Reset) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), ReadMultiTurnAngle) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), step()) $($wait)*));
-        $arm.set_point(id(2), torque()).unwrap();
-        let meanwhile = $arm.ask_with(id(1), step(), None, |event| on_event.push(event)) $($wait)*;
+        // That of motor 1 goes first, and is answered first.
+        $arm.set_point(id(1), torque()).unwrap();
+        let meanwhile = $arm.ask_with(id(2), step(), None, |event| on_event.push(event)) $($wait)*;
         log.push(format!("{meanwhile:?} {on_event:?}"));
         log.push(format!("{:?}", $arm.stop_all(StopKind::Hold, MotorSet::EMPTY) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(1), step()) $($wait)*));
@@ -60,7 +61,11 @@ fn check(log: &[String]) {
     assert_eq!(log[2], "Ok(NoReply)");
     assert_eq!(log[3], "Err(Failed { motor: MotorId(9), failure: NoReply })");
     assert_eq!(log[4], "Err(Failed { motor: MotorId(9), failure: NoReply })");
-    assert!(log[5].contains("Feedback"), "{}", log[5]);
+    // What is heard meanwhile, but for the answer.
+    let (answer, heard) = log[5].split_once(") [").unwrap();
+    assert!(answer.starts_with("Ok(Feedback {"), "{answer}");
+    assert!(heard.starts_with("Feedback { motor: MotorId(1),"), "{heard}");
+    assert_eq!(heard.matches("MotorId").count(), 1, "{heard}");
     assert_eq!(log[6], "MotorSet(9)", "motor 9 has not confirmed");
     assert_eq!(log[7], "Err(Refused { motor: MotorId(1), refusal: Stopped })");
 }
