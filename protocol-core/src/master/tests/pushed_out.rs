@@ -337,18 +337,21 @@ fn a_stop_to_all_that_was_handed_back_keeps_its_claim_though_another_command_to_
 
 #[test]
 fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
-    let mut master = Master::<2>::new(Config::CAN);
-    let to_all = packet_to_all(ReadMultiTurnAngle.encode());
-    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
-    assert_eq!(sent(&mut master, ms(2)), [to_all]);
-    master.handle_pushed_out(&to_all);
-    assert_eq!(sent(&mut master, ms(2)), [to_all]);
-    let soon = |micros| ms(2) + Duration::from_micros(micros);
-    reply(&mut master, 1, ANGLE_REPLY, soon(300));
-    let _read = master.request(id(2), ReadModel).unwrap();
-    assert_eq!(sent(&mut master, soon(310)), []);
-    let quiet = master.poll_at().unwrap();
-    assert_eq!(sent(&mut master, quiet), [packet_to(2, ReadModel.encode())]);
+    // Sooner than a reply time-out after the beginning, and long after it.
+    for at in [2, 1_000] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let to_all = packet_to_all(ReadMultiTurnAngle.encode());
+        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(at)), [to_all]);
+        master.handle_pushed_out(&to_all);
+        assert_eq!(sent(&mut master, ms(at)), [to_all]);
+        let soon = |micros| ms(at) + Duration::from_micros(micros);
+        reply(&mut master, 1, ANGLE_REPLY, soon(300));
+        let _read = master.request(id(2), ReadModel).unwrap();
+        assert_eq!(sent(&mut master, soon(310)), [], "{at}");
+        let quiet = master.poll_at().unwrap();
+        assert_eq!(sent(&mut master, quiet), [packet_to(2, ReadModel.encode())], "{at}");
+    }
 }
 
 /// Motor 1 was told, and its answer is lost; what motor 2 was told came back when it was to be told something else.
@@ -390,4 +393,22 @@ fn a_stop_that_is_handed_back_is_a_first_one_again_unless_its_motor_was_told_bef
         let stops = sent(&mut master, ms(30));
         assert_eq!(stops.first() == Some(&stop), !was_told_before, "{stops:?}");
     }
+}
+
+/// Its first was sent, and never answered; it was heard since the second, which its controller hands back.
+#[test]
+fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let [first, second] = [1, 3].map(|motor| packet_to(motor, Shutdown.encode()));
+    master.stop(id(3), StopKind::Off).unwrap();
+    for at in [2, 23] {
+        assert_eq!(sent(&mut master, ms(at)), [second], "{at}");
+    }
+    reply(&mut master, 3, ANGLE_REPLY, ms(24)).unwrap();
+    // Motor 1 is sent something after that, so that nothing but being told nothing yet brings it forward.
+    master.set_point(id(1), torque(1.0), ms(25)).unwrap();
+    assert_eq!(sent(&mut master, ms(25)), [packet_to(1, torque(1.0).encode())]);
+    master.handle_pushed_out(&second);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(26)), [first, second]);
 }
