@@ -316,6 +316,31 @@ fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
     }
 }
 
+/// However long the master has run by itself.
+#[test]
+fn who_is_heard_for_the_first_time_may_have_been_switched_on_just_then() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!has_run(&mut master, 1_500, 60_000));
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(59_000));
+    reply(&mut master, 1, ANGLE_REPLY, ms(59_001)).unwrap();
+    assert!(!has_run(&mut master, 1_500, 60_000));
+}
+
+/// It is known for 11 s, and has run for 9 s. Whoever waits for long for an answer that comes at once knows as much.
+#[test]
+fn a_patient_question_tells_a_restart_as_an_impatient_one_does() {
+    for timeout_ms in [20, 2_000] {
+        let mut master = Master::<2>::new(Config::CAN);
+        assert!(!has_run(&mut master, 1_000, 1));
+        let _read = master.request_with(id(1), ReadRunTime, once(timeout_ms)).unwrap();
+        assert_eq!(sent(&mut master, ms(10_000)).len(), 1);
+        reply(&mut master, 1, [0xB1, 0, 0, 0, 0x28, 0x23, 0, 0], ms(10_001)).unwrap();
+        let told = events(&mut master, ms(10_001));
+        assert_eq!(told, [Event::Restarted { motor: id(1) }], "{timeout_ms}");
+    }
+}
+
 #[test]
 fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
     let mut master = Master::<2>::new(Config::CAN);
