@@ -3,7 +3,7 @@
 //! Each search has an alphabet of its own, since all calls together would be too many.
 //!
 //! The engine is cloned and tried on, breadth first, against the model of `world`. `callers` says what callers do,
-//! `state` what may happen and what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
+//! `state` what may happen, `oracle` what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
 //! how many states there were; with `--ignored` it goes further, which takes ten minutes. `longer` draws
 //! longer runs of the same by chance, and `calls` any calls at all; what fails is shrunk.
 
@@ -11,14 +11,16 @@ mod interleavings {
     pub(crate) mod callers;
     mod calls;
     mod canonical;
+    mod foreign;
     mod longer;
+    mod oracle;
     pub(crate) mod search;
     pub(crate) mod state;
     pub(crate) mod world;
 }
 
 use interleavings::callers::Call;
-use interleavings::search::{Bounds, search};
+use interleavings::state::{Bounds, State};
 use interleavings::world::Medium;
 use myactuator_protocol_core::master::StopKind::{Hold, Off};
 
@@ -183,6 +185,12 @@ const LINE_OF_TWO: Bounds = Bounds {
     ],
     ..LINE
 };
+
+fn search<const N: usize>(bounds: &Bounds) {
+    let &Bounds { name, most_calls, faults, depth, .. } = bounds;
+    let name = format!("{name}: {N} motor(s), {most_calls} calls, {faults} faults");
+    interleavings::search::search(&name, State::<N>::new(bounds), depth);
+}
 
 #[test]
 fn one_motor() {

@@ -30,7 +30,7 @@ use myactuator_tests::dice::any_data;
 use proptest::prelude::*;
 use proptest::test_runner::{Config as Cases, RngSeed};
 
-use super::state::check_poll_at;
+use super::oracle::check_poll_at;
 
 /// Fewer than the motors that are asked.
 const PLACES: usize = 3;

@@ -7,28 +7,31 @@
 //! only change what is told, except for when a motor was heard last, which matters after a second, and by when it has
 //! started, which matters where its run time is read: nothing here does either.
 
-use std::fmt::{self, Write};
+use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
 
 use foldhash::quality::{FixedState, FoldHasher};
-use myactuator_protocol_core::master::Master;
 use myactuator_protocol_core::time::{Duration, Instant};
-
-use super::world::World;
 
 /// How long ago something was, beyond this, makes no difference; only of a sending it does.
 const PAST: Duration = Duration::from_millis(1);
 /// Nor beyond this, if it was a sending.
 const LONG_AGO: Duration = Duration::from_millis(4);
+/// Nor beyond this, if it was a sending that may come back.
+const NO_ECHO: Duration = Duration::from_millis(101);
 
-/// The number of a state.
-pub(crate) fn number<const N: usize>(master: &Master<N>, world: &World) -> u64 {
-    let mut sink = Sink::new(world.now);
+/// The number of a state, of a master or of a loop that runs one; `hash_world` adds what else it has.
+pub(crate) fn number(
+    master: &impl Debug,
+    now: Instant,
+    hash_world: impl FnOnce(&mut FoldHasher<'static>),
+) -> u64 {
+    let mut sink = Sink::new(now);
     // Writing to a hash cannot fail.
     let _ = write!(sink, "{master:?}");
     let [pace, rounds @ ..] = [sink.pace, sink.rounds[0], sink.rounds[1]];
     rounds.map(|round| pace.wrapping_sub(round)).hash(&mut sink.hasher);
-    world.hash_from_now(&mut sink.hasher);
+    hash_world(&mut sink.hasher);
     sink.hasher.finish()
 }
 
@@ -51,6 +54,8 @@ pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
 enum Field {
     Plain,
     Sent,
+    /// A sending that may come back.
+    MayEcho,
     Round,
     Pace,
     Misses,
@@ -91,7 +96,11 @@ impl Sink {
 
     fn number(&mut self, number: u64) {
         if std::mem::take(&mut self.is_instant) {
-            let past = if self.field == Field::Sent { LONG_AGO } else { PAST };
+            let past = match self.field {
+                Field::Sent => LONG_AGO,
+                Field::MayEcho => NO_ECHO,
+                _ => PAST,
+            };
             from_now(Instant::from_micros(number), self.now, past).hash(&mut self.hasher);
             return;
         }
@@ -105,7 +114,7 @@ impl Sink {
             Field::Pace => self.pace = number as u32,
             Field::Misses => (number > 0).hash(&mut self.hasher),
             Field::Ignored => {}
-            Field::Plain | Field::Sent => number.hash(&mut self.hasher),
+            Field::Plain | Field::Sent | Field::MayEcho => number.hash(&mut self.hasher),
         }
     }
 }
@@ -136,10 +145,13 @@ impl Write for Sink {
                 }
                 self.last_word = match piece {
                     "sent" => Field::Sent,
+                    "at" | "forgotten" => Field::MayEcho,
                     "round" => Field::Round,
                     "pace" => Field::Pace,
                     "misses" => Field::Misses,
                     "ticket" | "last_ticket" | "is_newest_dropped" | "started_by" => Field::Ignored,
+                    // Bytes that were looked at, or are no frame.
+                    "chunk" | "next" | "end" | "held" | "garbled" => Field::Ignored,
                     _ => Field::Plain,
                 };
                 piece.hash(&mut self.hasher);

@@ -5,8 +5,8 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngSeed};
 
-use super::search::Bounds;
-use super::state::{State, Step};
+use super::search::Searched;
+use super::state::{Bounds, State, Step};
 
 /// Calls of one run: the model has a bit for each.
 const CALLS: u8 = 30;
@@ -38,6 +38,8 @@ fn sort_of(step: Step) -> Sort {
         | Step::TakeAndLose
         | Step::Cut
         | Step::Mend
+        | Step::TakeAndEcho
+        | Step::ForeignStop(..)
         | Step::Foreign => Sort::Fault,
     }
 }
@@ -52,15 +54,14 @@ fn any_sort() -> impl Strategy<Value = Sort> {
 }
 
 fn run<const N: usize>(bounds: &Bounds, choices: &[(Sort, Index)]) -> Result<(), TestCaseError> {
-    let mut state = State::<N>::new(bounds.medium, CALLS, FAULTS);
+    let mut state = State::<N>::new(&Bounds { most_calls: CALLS, faults: FAULTS, ..*bounds });
     let end = state.world.now + LONGEST_RUN;
     let failed =
         |state: &State<N>, broken| Err(TestCaseError::fail(format!("{broken}\n{state:?}")));
     for (sort, index) in choices {
         let is_of_sort =
             |step: &Step| std::mem::discriminant(&sort_of(*step)) == std::mem::discriminant(sort);
-        let steps: Vec<Step> =
-            state.possible(bounds.calls).into_iter().filter(is_of_sort).collect();
+        let steps: Vec<Step> = state.possible().into_iter().filter(is_of_sort).collect();
         if steps.is_empty() || is_after(&state, end) {
             continue;
         }
@@ -70,7 +71,7 @@ fn run<const N: usize>(bounds: &Bounds, choices: &[(Sort, Index)]) -> Result<(),
             Ok(true) => state = after,
             Err(broken) => return failed(&after, broken),
         }
-        if let Err(broken) = state.check_poll_at() {
+        if let Err(broken) = state.check() {
             return failed(&state, broken);
         }
     }

@@ -6,21 +6,30 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use super::callers::Call;
-use super::state::{Broken, State, Step};
-use super::world::Medium;
+/// What must hold and did not.
+pub(crate) type Broken = String;
 
-/// How far a search goes.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Bounds {
-    pub(crate) name: &'static str,
-    pub(crate) medium: Medium,
-    /// What callers do.
-    pub(crate) calls: &'static [Call],
-    /// So many of it in one run.
-    pub(crate) most_calls: u8,
-    pub(crate) faults: u8,
-    pub(crate) depth: usize,
+/// What is searched: the code that is looked at, the world around it, and how they came to this.
+pub(crate) trait Searched: Clone + Send + Sync {
+    type Step: Copy + std::fmt::Debug + Send;
+
+    /// All that may happen next; some of it turns out not to be possible.
+    fn possible(&self) -> Vec<Self::Step>;
+
+    /// Lets this happen. `Ok(false)`: it cannot.
+    fn step(&mut self, step: Self::Step) -> Result<bool, Broken>;
+
+    /// What has happened.
+    fn steps(&self) -> &[Self::Step];
+
+    /// That of all states which are the same.
+    fn number(&self) -> u64;
+
+    /// What must hold of a state that was not seen before.
+    fn check(&self) -> Result<(), Broken>;
+
+    /// In a world that is well from now on everything must come to its end.
+    fn check_end(&self) -> Result<(), Broken>;
 }
 
 const SHARDS: usize = 64;
@@ -42,19 +51,19 @@ impl Seen {
 }
 
 /// What was found, each with the shortest way to it.
-type Found = BTreeMap<Broken, Vec<Step>>;
+type Found<S> = BTreeMap<Broken, Vec<<S as Searched>::Step>>;
 
-/// Searches all states up to these bounds, and fails with what it finds first.
-pub(crate) fn search<const N: usize>(bounds: &Bounds) {
+/// Searches all states that this one leads to in so many steps, and fails with what it finds first.
+pub(crate) fn search<S: Searched>(name: &str, start: S, most_steps: usize) {
     let begun = Instant::now();
     let seen = Seen::new();
-    let found = Mutex::new(Found::new());
-    let mut level = vec![State::<N>::new(bounds.medium, bounds.most_calls, bounds.faults)];
+    let found = Mutex::new(Found::<S>::new());
+    let mut level = vec![start];
     let mut states = 1;
     let mut depth = 0;
-    while !level.is_empty() && depth < bounds.depth && found.lock().unwrap().is_empty() {
+    while !level.is_empty() && depth < most_steps && found.lock().unwrap().is_empty() {
         depth += 1;
-        level = next_level(&level, bounds, depth, &seen, &found);
+        level = next_level(&level, depth == most_steps, &seen, &found);
         states += level.len();
         if std::env::var_os("INTERLEAVINGS_LEVELS").is_some() {
             println!("  {depth}: {} {:?}", level.len(), begun.elapsed());
@@ -65,10 +74,7 @@ pub(crate) fn search<const N: usize>(bounds: &Bounds) {
     // Past what the test program keeps to itself, so that every run of the tests shows it.
     let _ = writeln!(
         stderr(),
-        "{}: {N} motor(s), {} calls, {} faults, depth {depth} ({whole}), {states} states, {:.1} s",
-        bounds.name,
-        bounds.most_calls,
-        bounds.faults,
+        "{name}, depth {depth} ({whole}), {states} states, {:.1} s",
         begun.elapsed().as_secs_f32()
     );
     let ways: Vec<_> = found.iter().map(|(what, way)| format!("{what}:\n    {way:?}")).collect();
@@ -76,13 +82,12 @@ pub(crate) fn search<const N: usize>(bounds: &Bounds) {
 }
 
 /// The states that one more step leads to and that were not seen before.
-fn next_level<const N: usize>(
-    level: &[State<N>],
-    bounds: &Bounds,
-    depth: usize,
+fn next_level<S: Searched>(
+    level: &[S],
+    is_deepest: bool,
     seen: &Seen,
-    found: &Mutex<Found>,
-) -> Vec<State<N>> {
+    found: &Mutex<Found<S>>,
+) -> Vec<S> {
     let next = AtomicUsize::new(0);
     let work = || {
         let mut new = Vec::new();
@@ -93,7 +98,7 @@ fn next_level<const N: usize>(
                 return new;
             }
             for state in chunk {
-                follow(state, bounds, depth, seen, found, &mut new);
+                follow(state, is_deepest, seen, found, &mut new);
             }
         }
     };
@@ -103,22 +108,21 @@ fn next_level<const N: usize>(
     })
 }
 
-fn follow<const N: usize>(
-    state: &State<N>,
-    bounds: &Bounds,
-    depth: usize,
+fn follow<S: Searched>(
+    state: &S,
+    is_deepest: bool,
     seen: &Seen,
-    found: &Mutex<Found>,
-    new: &mut Vec<State<N>>,
+    found: &Mutex<Found<S>>,
+    new: &mut Vec<S>,
 ) {
     let mut is_last = true;
-    for step in state.possible(bounds.calls) {
+    for step in state.possible() {
         let mut after = state.clone();
         let result = match after.step(step) {
             Ok(true) if seen.insert(after.number()) => {
-                let result = after.check_poll_at();
+                let result = after.check();
                 // What hangs, hangs until the end of the search: to look there is enough.
-                if depth == bounds.depth { result.and_then(|()| after.check_end()) } else { result }
+                if is_deepest { result.and_then(|()| after.check_end()) } else { result }
             }
             Ok(true) => {
                 is_last = false;
@@ -132,14 +136,14 @@ fn follow<const N: usize>(
             Ok(()) => new.push(after),
             Err(broken) => {
                 let mut found = found.lock().unwrap();
-                let way = found.entry(broken).or_insert_with(|| after.steps.clone());
-                if after.steps.len() < way.len() {
-                    *way = after.steps;
+                let way = found.entry(broken).or_insert_with(|| after.steps().to_vec());
+                if after.steps().len() < way.len() {
+                    *way = after.steps().to_vec();
                 }
             }
         }
     }
     if is_last && let Err(broken) = state.check_end() {
-        found.lock().unwrap().entry(broken).or_insert_with(|| state.steps.clone());
+        found.lock().unwrap().entry(broken).or_insert_with(|| state.steps().to_vec());
     }
 }

@@ -402,6 +402,16 @@ impl World {
         }
     }
 
+    /// Another master stops a motor, after all that this one did.
+    pub(crate) fn stopped_by_another(&mut self, packet: Packet) {
+        let (sent, ready, call) = (self.now, self.now, self.calls);
+        if let Some(truth) = motor_of(&packet).and_then(|motor| self.truth_of(motor)) {
+            truth.wants = None;
+        }
+        self.commands.push(Frame { packet, call, sent, ready, is_late: false });
+        self.hear(self.commands.len() - 1, 1);
+    }
+
     fn hears(&mut self, motor: MotorId, frame: &Frame) {
         let Some(truth) = self.truth.get_mut(motor.index()) else { return };
         let ignores = std::mem::take(&mut truth.ignores);

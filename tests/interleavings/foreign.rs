@@ -1,0 +1,49 @@
+//! What other masters do on the same bus, as this one hears it: on a line also what they ask, which looks like an
+//! answer.
+
+use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::{Channel, Data, Packet, Target};
+
+use super::search::Broken;
+use super::state::State;
+use super::world::{Medium, motor_at};
+
+/// What this master never asks for.
+const READ: Data = [0x60, 0, 0, 0, 0, 0, 0, 0];
+const VALUES: Data = [0x60, 1, 0, 0, 0xEE, 0, 0, 0];
+/// What it asks for, but not that motor.
+const OF_THEIRS: Data = [0x92, 1, 0, 0, 0xEE, 0, 0, 0];
+
+impl<const N: usize> State<N> {
+    /// Another master asks a motor of ours and one of its own, and both answer. On a line it waits until that is free.
+    pub(super) fn foreign(&mut self) -> Result<bool, Broken> {
+        if self.world.medium == Medium::Line && !self.world.replies.is_empty() {
+            return Ok(false);
+        }
+        let (ours, theirs) = (motor_at(0), motor_at(2));
+        for (motor, command, answer) in [(ours, READ, VALUES), (theirs, [0x92; 8], OF_THEIRS)] {
+            self.receive(Packet { channel: Channel::Command(motor.into()), data: command })?;
+            self.receive(Packet { channel: Channel::Reply(motor), data: answer })?;
+        }
+        Ok(!self.world.is_cut())
+    }
+
+    /// On a line that is free: another master stops a motor of ours, which answers before anybody else speaks, unless it
+    /// has not heard it.
+    pub(super) fn foreign_stop(&mut self, kind: StopKind, is_heard: bool) -> Result<bool, Broken> {
+        let world = &mut self.world;
+        let is_free = world.replies.is_empty() && !self.master.is_anything_in_flight();
+        if world.medium != Medium::Line || !is_free || !world.fault() {
+            return Ok(false);
+        }
+        let byte = if kind == StopKind::Hold { 0x81 } else { 0x80 };
+        let channel = Channel::Command(Target::Motor(motor_at(0)));
+        let packet = Packet { channel, data: [byte, 0, 0, 0, 0, 0, 0, 0] };
+        self.receive(packet)?;
+        if is_heard {
+            self.world.stopped_by_another(packet);
+            return self.reply(0, false);
+        }
+        Ok(true)
+    }
+}
