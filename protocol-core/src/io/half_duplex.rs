@@ -15,7 +15,7 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 /// It is a port of embedded-io if `serial` is one and `delay` is embedded-hal's, and a port of
 /// embedded-io-async if `delay` is embedded-hal-async's. There, a `write` or `flush` that is dropped
 /// leaves the pin high; the next `flush` lowers it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct HalfDuplex<S, P, D> {
     serial: S,
     pin: P,

@@ -10,7 +10,7 @@ use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
 const CHUNK: usize = 32;
 
 /// The receiving side of a serial port, and the bytes that were read from it and not looked at yet.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Line {
     receiver: Receiver,
     echoes: EchoFilter,

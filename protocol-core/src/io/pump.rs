@@ -31,7 +31,7 @@ pub(super) trait Port<const N: usize> {
 }
 
 /// A master, and what its loop remembers from round to round.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Pump<const N: usize> {
     pub(super) master: Master<N>,
     /// How often the bus is looked at yet before it is sent to.
@@ -110,7 +110,7 @@ pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant>
 }
 
 /// For how long a bus has taken nothing of what it was offered.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Refusals(Elapsed);
 
 impl Refusals {

@@ -11,7 +11,7 @@ use crate::time::Instant;
 
 /// Runs a [`Master`] on a serial port with an RS485 transceiver. Where the port does not switch the
 /// transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct SerialMaster<S, K, const N: usize> {
     serial: S,
     clock: K,
