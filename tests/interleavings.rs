@@ -3,14 +3,16 @@
 //! Each search has an alphabet of its own, since all calls together would be too many.
 //!
 //! The engine is cloned and tried on, breadth first, against the model of `world`. `callers` says what callers do,
-//! `state` what may happen, `oracle` what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
-//! how many states there were; with `--ignored` it goes further, which takes ten minutes. `longer` draws
-//! longer runs of the same by chance, and `calls` any calls at all; what fails is shrunk.
+//! `state` what may happen, `oracle` what must hold. In `echoes` it is the loop over RS485 that is cloned, with an
+//! adapter. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints how many states there were; with
+//! `--ignored` it goes further, which takes ten minutes. `longer` draws longer runs of the same by chance, and `calls`
+//! any calls at all; what fails is shrunk.
 
 mod interleavings {
     pub(crate) mod callers;
     mod calls;
     mod canonical;
+    mod echoes;
     mod foreign;
     mod longer;
     mod oracle;

@@ -1,0 +1,129 @@
+//! The adapters that are searched, who is there, and what happens.
+
+use super::super::search::search;
+use super::Call::{Angle, Lift, Lock, Status, Stop, StopAll};
+use super::Fault::{
+    CutShort, Deaf, Double, Halt, HaltAndHold, Harm, Late, Lose, LoseMaster, ReadFails,
+};
+use super::{Adapter, Fault, State};
+
+const ANY_FAULT: &[Fault] =
+    &[Deaf, CutShort, Lose, Harm, Double, Late, ReadFails, Halt, HaltAndHold, LoseMaster(0)];
+
+/// Motor 1 is there and motor 2 is not, and nobody has told that the adapter echoes.
+const UNTOLD: Adapter = Adapter {
+    name: "an echo that nobody told of",
+    echoes: true,
+    is_told: false,
+    is_there: [true, false],
+    calls: &[
+        Angle(0),
+        Angle(1),
+        Status(0),
+        Status(1),
+        Lock(0),
+        Lock(1),
+        Stop(0),
+        Stop(1),
+        StopAll,
+        Lift,
+    ],
+    most_calls: 2,
+    faults: ANY_FAULT,
+    most_faults: 1,
+    depth: 24,
+};
+
+const TOLD: Adapter = Adapter { name: "an echo that was told of", is_told: true, ..UNTOLD };
+
+const QUIET: Adapter = Adapter {
+    name: "no echo",
+    echoes: false,
+    calls: &[Lock(0), Stop(0), Stop(1), StopAll],
+    ..UNTOLD
+};
+
+/// As much noise as may not hide an echo: four answers in a row show that there is none.
+const NOISE: Adapter = Adapter {
+    name: "an echo that is lost",
+    calls: &[Lock(0), Stop(0), Stop(1)],
+    faults: &[Lose, Late],
+    most_faults: 3,
+    ..UNTOLD
+};
+
+/// Only echoes come, though somebody is there.
+const DEAF: Adapter =
+    Adapter { name: "a motor that is deaf", faults: &[Lose, Deaf], most_faults: 3, ..NOISE };
+
+/// As often as would do if it showed anything that what was read is lost.
+const FAILS: Adapter = Adapter {
+    name: "a port that fails",
+    calls: &[Status(0), Stop(1)],
+    most_calls: 5,
+    faults: &[ReadFails],
+    most_faults: 4,
+    depth: 28,
+    ..UNTOLD
+};
+
+/// It hands commands back, as an echo would.
+const LOSES_MASTER: Adapter = Adapter {
+    name: "a motor that loses its master",
+    calls: &[Status(0), Stop(0)],
+    most_calls: 3,
+    faults: &[LoseMaster(0), Lose],
+    most_faults: 2,
+    ..QUIET
+};
+
+fn run(adapter: &'static Adapter) {
+    let &Adapter { name, most_calls, most_faults, depth, .. } = adapter;
+    search(
+        &format!("{name}: {most_calls} calls, {most_faults} faults"),
+        State::new(adapter),
+        depth,
+    );
+}
+
+#[test]
+fn an_echo_passes_for_no_answer_and_no_answer_for_an_echo() {
+    run(&UNTOLD);
+    run(&TOLD);
+    run(&QUIET);
+    run(&NOISE);
+    run(&DEAF);
+    run(&FAILS);
+    run(&LOSES_MASTER);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn an_echo_passes_for_no_answer_and_no_answer_for_an_echo_for_long() {
+    const FOR_LONG: Adapter = Adapter { most_faults: 2, depth: 50, ..UNTOLD };
+    const TWO: Adapter = Adapter { is_there: [true, true], ..FOR_LONG };
+    run(&FOR_LONG);
+    run(&TWO);
+    const TOLD_FOR_LONG: Adapter = Adapter { most_faults: 2, depth: 50, ..TOLD };
+    run(&TOLD_FOR_LONG);
+    const QUIET_FOR_LONG: Adapter = Adapter { most_faults: 2, depth: 40, ..QUIET };
+    const QUIET_TWO: Adapter = Adapter {
+        is_there: [true, true],
+        calls: &[Lock(0), StopAll, Lift],
+        most_calls: 3,
+        most_faults: 1,
+        ..QUIET_FOR_LONG
+    };
+    run(&QUIET_FOR_LONG);
+    run(&QUIET_TWO);
+    const NOISE_FOR_LONG: Adapter = Adapter { faults: ANY_FAULT, depth: 28, ..NOISE };
+    const MANY_CALLS: Adapter = Adapter {
+        calls: &[Lock(0), Lock(1), Stop(1), Lift],
+        most_calls: 4,
+        faults: &[Lose],
+        depth: 50,
+        ..NOISE
+    };
+    run(&NOISE_FOR_LONG);
+    run(&MANY_CALLS);
+}
