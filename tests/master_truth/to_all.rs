@@ -227,14 +227,16 @@ impl Truth {
             page.stop_due_since = called;
         }
         page.other_stops.clear();
-        // What may be under way already may go on in its place.
+        // What may be under way already may go on in its place, with the attempts that it has left.
         page.is_begun_anew = page.may_be_stopping;
+        let goes_on = page.may_be_stopping && page.stop.byte == stop.byte;
+        let taken = if goes_on { page.stops_taken } else { 0 };
         if page.may_be_stopping {
             page.other_stops.push(page.stop);
         }
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
         (page.stop_called, page.stop_called_at) = (called, now);
-        (page.stops_taken, page.is_told_with_all, page.was_told) = (0, false, page.is_told);
+        (page.stops_taken, page.is_told_with_all, page.was_told) = (taken, false, page.is_told);
         page.stop = stop;
         page.was_given_up = false;
         page.stopping_since = steady;
