@@ -558,3 +558,16 @@ fn that_another_motor_was_heard_before_a_cut_says_nothing_of_a_move_of_all() {
         assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(191)), None, "{named:?}");
     }
 }
+
+/// It answers what it is asked 300 us after a frame that answered nothing.
+#[test]
+fn the_first_answer_of_a_motor_is_none_doubled() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let at = |micros| Instant::from_micros(micros);
+    let asked = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, at(1_000)).len(), 1);
+    let other = reply(&mut master, 1, TORQUE_REPLY, at(1_100));
+    assert!(matches!(other, Some(Event::Stray { .. })), "{other:?}");
+    let answer = reply(&mut master, 1, ANGLE_REPLY, at(1_400)).unwrap();
+    assert!(asked.outcome(&answer).is_some());
+}

@@ -500,3 +500,31 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
         assert_eq!(sent(&mut master, ms(24)).contains(&to_all), is_moved);
     }
 }
+
+/// It may be moved by whoever else is on the line, and be told by nothing else.
+#[test]
+fn a_stop_to_all_goes_at_once_where_a_motor_was_forgotten_since_the_last() {
+    for is_forgotten in [false, true] {
+        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        let to_all = packet_to_all(Shutdown.encode());
+        let both: MotorSet = [id(1), id(2)].into();
+        master.stop_all(StopKind::Off, both).unwrap();
+        let mut packets = Vec::new();
+        for now in 0..50 {
+            for packet in sent(&mut master, ms(now)) {
+                packets.push(packet);
+                if let Channel::Command(address @ Target::Motor(_)) = packet.channel {
+                    let answer = Frame { address, data: packet.data };
+                    master.handle_line(&answer, ms(now) + Duration::from_micros(900));
+                }
+            }
+        }
+        assert_eq!(packets[0], to_all);
+        master.lift_stop();
+        if is_forgotten {
+            assert!(master.forget(id(2)));
+        }
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(50)).contains(&to_all), is_forgotten);
+    }
+}

@@ -701,3 +701,23 @@ fn whoever_fills_a_line_holds_no_stop_up() {
     let sent_at = (1..100).find(|&at| looks_at(&mut master, ms(at)));
     assert_eq!(sent_at, Some(1));
 }
+
+/// Nobody is to call anything between an offer and its sending; whoever does has it sent once more, not left out.
+#[test]
+fn what_was_offered_before_all_are_let_go_or_a_restart_is_noted_does_not_count_as_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.poll_transmit(ms(0)), Some(packet_to(1, Stop.encode())));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    master.handle_transmitted(ms(0));
+    assert!(sent(&mut master, ms(0)).contains(&packet_to(1, Shutdown.encode())));
+
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = master.request(id(1), ReadModel).unwrap();
+    assert!(master.poll_transmit(ms(0)).is_some());
+    master.note_restart(id(1));
+    master.handle_transmitted(ms(0));
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, ReadModel.encode())]);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    assert!(read.outcome(&event).is_some());
+}

@@ -412,3 +412,45 @@ fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(26)), [first, second]);
 }
+
+/// The second of motor 2, which was to be held and then to be off. The hold comes back, so that it may not have been told
+/// before; but the other was sent.
+#[test]
+fn a_stop_that_was_sent_once_is_no_first_one_though_another_is_handed_back() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let [first, second] = [1, 2].map(|motor| packet_to(motor, Shutdown.encode()));
+    master.stop(id(2), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(2, Stop.encode())]);
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [second]);
+    master.handle_pushed_out(&packet_to(2, Stop.encode()));
+    reply(&mut master, 2, ANGLE_REPLY, ms(4)).unwrap();
+    master.set_point(id(1), torque(1.0), ms(10)).unwrap();
+    assert_eq!(sent(&mut master, ms(10)), [packet_to(1, torque(1.0).encode())]);
+    events(&mut master, ms(23));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(23)), [first, second]);
+}
+
+/// Nobody is kept back any more for what makes way no longer.
+#[test]
+fn who_has_answered_since_it_made_way_is_waited_for_no_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let stop = packet_to(1, Shutdown.encode());
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [stop]);
+    master.handle_pushed_out(&stop);
+    assert_eq!(sent(&mut master, ms(0)), [stop]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    master.lift_stop();
+    // Motor 2 has had one turn more, so that motor 1 goes first, and is not behind then.
+    for at in [2, 4] {
+        let _read = ask(&mut master, 2, ReadMultiTurnAngle, ms(at));
+        reply(&mut master, 2, ANGLE_REPLY, ms(at + 1)).unwrap();
+    }
+    for motor in [1, 2] {
+        master.set_point(id(motor), torque(1.0), ms(6)).unwrap();
+    }
+    let to_both = [1, 2].map(|motor| packet_to(motor, torque(1.0).encode()));
+    assert_eq!(sent(&mut master, ms(6)), to_both);
+}

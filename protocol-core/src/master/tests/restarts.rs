@@ -401,6 +401,24 @@ fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
 }
 
+/// It was resumed before it was asked for the last time, and did not answer that.
+#[test]
+fn who_was_resumed_and_did_not_answer_since_is_not_moved_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    for at in [500, 700] {
+        let _read = master.request_with(id(1), ReadModel, once(20)).unwrap();
+        assert_eq!(sent(&mut master, ms(at)).len(), 1);
+        assert_eq!(events(&mut master, ms(at + 20)).len(), 1);
+        if at == 500 {
+            master.resume(id(1));
+        }
+    }
+    events(&mut master, ms(2_000));
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(2_000)), Err(RequestError::Restarted));
+}
+
 #[test]
 fn all_are_not_moved_while_one_of_them_did_not_answer_and_was_silent_for_a_second() {
     let mut master = Master::<2>::new(Config::CAN);

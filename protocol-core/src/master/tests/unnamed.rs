@@ -590,3 +590,39 @@ fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
     tell_all(&mut master, Shutdown, Shutdown.encode(), now);
     assert!(reaches_all(&mut master, StopKind::Hold, now + 2));
 }
+
+/// One of them is off since, or all, whatever others were told behind that.
+#[test]
+fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
+    fn goes_again(tell: impl FnOnce(&mut Master<2>)) -> bool {
+        let mut master = Master::<2>::new(Config::CAN);
+        let more: MotorSet = [id(1), id(2), id(3)].into();
+        assert!(master.stop_all(StopKind::Hold, more).is_err(), "there are two places");
+        let hold = packet_to_all(Stop.encode());
+        assert_eq!(sent(&mut master, ms(0))[0], hold);
+        for motor in [1, 2] {
+            assert_eq!(reply(&mut master, motor, Stop.encode(), ms(1)), confirmed(motor));
+        }
+        tell(&mut master);
+        master.handle_pushed_out(&hold);
+        sent(&mut master, ms(10)).contains(&hold)
+    }
+    assert!(goes_again(|_| {}));
+    assert!(!goes_again(|master| {
+        let _off = ask(master, 1, Shutdown, ms(2));
+    }));
+    assert!(!goes_again(|master| {
+        let _off = ask(master, 1, Shutdown, ms(2));
+        let _hold = ask(master, 2, Stop, ms(3));
+    }));
+    assert!(!goes_again(|master| {
+        master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        assert_eq!(channels(&sent(master, ms(2))), [TO_ALL]);
+        for motor in [1, 2] {
+            reply(master, motor, Shutdown.encode(), ms(3));
+        }
+        events(master, ms(3));
+        master.broadcast(LockBrake, MotorSet::EMPTY).unwrap();
+        assert_eq!(channels(&sent(master, ms(4))), [TO_ALL]);
+    }));
+}
