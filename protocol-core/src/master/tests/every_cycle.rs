@@ -605,3 +605,21 @@ fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is
     assert!(told.is_some());
     assert_eq!(count, 30);
 }
+
+/// Nobody has to look at the time more often than it is told to.
+#[test]
+fn when_a_stop_that_gives_way_to_what_all_are_told_may_go_is_said() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let stop = [packet_to(1, Shutdown.encode())];
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(99)), stop);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(100)), confirmed(1));
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    events(&mut master, ms(100));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(100)), []);
+    let quiet = master.poll_at().unwrap();
+    assert!(quiet < ms(101), "{quiet:?}");
+    assert_eq!(sent(&mut master, quiet), stop);
+}

@@ -501,30 +501,38 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
     }
 }
 
-/// It may be moved by whoever else is on the line, and be told by nothing else.
+/// Motor 2 is moved, or forgotten, and then nothing else tells it to stop; motor 1 is as it was.
 #[test]
-fn a_stop_to_all_goes_at_once_where_a_motor_was_forgotten_since_the_last() {
-    for is_forgotten in [false, true] {
+fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_last() {
+    for (is_moved, is_forgotten) in [(false, false), (true, false), (false, true)] {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        let says = |master: &mut Master<2>, address, data, now| {
+            let answered = ms(now) + Duration::from_micros(900);
+            master.handle_line(&Frame { address, data }, answered)
+        };
         let to_all = packet_to_all(Shutdown.encode());
-        let both: MotorSet = [id(1), id(2)].into();
-        master.stop_all(StopKind::Off, both).unwrap();
+        master.stop_all(StopKind::Off, [id(1), id(2)].into()).unwrap();
         let mut packets = Vec::new();
         for now in 0..50 {
             for packet in sent(&mut master, ms(now)) {
                 packets.push(packet);
-                if let Channel::Command(address @ Target::Motor(_)) = packet.channel {
-                    let answer = Frame { address, data: packet.data };
-                    master.handle_line(&answer, ms(now) + Duration::from_micros(900));
+                if let Channel::Command(motor @ Target::Motor(_)) = packet.channel {
+                    says(&mut master, motor, packet.data, now);
                 }
             }
         }
         assert_eq!(packets[0], to_all);
         master.lift_stop();
+        if is_moved {
+            master.set_point(id(2), torque(1.0), ms(50)).unwrap();
+            assert_eq!(sent(&mut master, ms(50)).len(), 1);
+            says(&mut master, id(2).into(), TORQUE_REPLY, 50).unwrap();
+        }
         if is_forgotten {
             assert!(master.forget(id(2)));
         }
         master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
-        assert_eq!(sent(&mut master, ms(50)).contains(&to_all), is_forgotten);
+        let goes = sent(&mut master, ms(52)).contains(&to_all);
+        assert_eq!(goes, is_moved || is_forgotten, "{is_moved} {is_forgotten}");
     }
 }

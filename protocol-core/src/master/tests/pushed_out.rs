@@ -335,6 +335,39 @@ fn a_stop_to_all_that_was_handed_back_keeps_its_claim_though_another_command_to_
     assert!(!packets.contains(&packet_to(1, ReadModel.encode())), "it may push that out again");
 }
 
+/// Long after the beginning.
+#[test]
+fn a_stop_to_all_that_was_handed_back_once_is_pushed_out_by_no_read_again() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let both: MotorSet = [id(1), id(2)].into();
+    assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
+    let to_all = packet_to_all(Shutdown.encode());
+    assert_eq!(sent(&mut master, ms(1_000))[0], to_all);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1_001)), confirmed(1));
+    master.handle_pushed_out(&to_all);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    let soon = |micros| ms(1_001) + Duration::from_micros(micros);
+    assert_eq!(sent(&mut master, soon(10)), [to_all]);
+    assert_eq!(sent(&mut master, soon(20)), []);
+    assert_eq!(sent(&mut master, ms(1_002)), [packet_to(1, ReadModel.encode())]);
+}
+
+#[test]
+fn what_was_handed_back_once_keeps_its_claim_though_another_is_put_when_it_was_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let to_all = [packet_to_all(ReadModel.encode())];
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), to_all);
+    master.handle_pushed_out(&to_all[0]);
+    assert_eq!(sent(&mut master, ms(2)), to_all);
+    assert_eq!(events(&mut master, ms(2)).len(), 1);
+    master.set_point(id(1), torque(1.0), ms(2)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2) + Duration::from_micros(10)), []);
+    // The bus was quiet since.
+    assert_eq!(sent(&mut master, ms(3)), [packet_to(1, torque(1.0).encode())]);
+}
+
 #[test]
 fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     // Sooner than a reply time-out after the beginning, and long after it.

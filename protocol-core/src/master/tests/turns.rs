@@ -560,3 +560,54 @@ fn who_had_to_wait_for_itself_has_no_claim_to_the_turns_of_then() {
     }
     assert!(last[1] > 0);
 }
+
+/// All were asked for their model, and motor 1 may answer that yet, so that the next question to all waits.
+#[test]
+fn what_ends_motion_does_not_wait_behind_a_question_to_all_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    events(&mut master, ms(2));
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    let _off = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Shutdown.encode())]);
+}
+
+/// Else the motor would be off in the end, though it was to be held with all.
+#[test]
+fn a_hold_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _off = master.request(id(1), Shutdown).unwrap();
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Shutdown.encode())]);
+    reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
+}
+
+#[test]
+fn a_question_to_all_does_not_wait_for_one_that_waits_for_the_end_of_a_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = ask(&mut master, 1, Reset, ms(0));
+    events(&mut master, ms(0));
+    let _read = master.request(id(1), ReadModel).unwrap();
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(ReadMultiTurnAngle.encode())]);
+}
+
+/// It waits until its motor has taken what has no answer.
+#[test]
+fn a_move_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _unanswered = ask(&mut master, 1, report_angle(Switch::Off), ms(0));
+    events(&mut master, ms(0));
+    let _off = master.request(id(1), Shutdown).unwrap();
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), []);
+    let settled = master.poll_at().unwrap();
+    assert_eq!(sent(&mut master, settled), [packet_to(1, Shutdown.encode())]);
+    let answered = settled + Duration::from_millis(1);
+    reply(&mut master, 1, Shutdown.encode(), answered).unwrap();
+    assert_eq!(sent(&mut master, answered), [packet_to_all(torque(1.0).encode())]);
+}

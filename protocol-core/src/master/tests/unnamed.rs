@@ -626,3 +626,12 @@ fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
         assert_eq!(channels(&sent(master, ms(4))), [TO_ALL]);
     }));
 }
+
+/// It was lifted before that, and nothing has moved anybody since; but nobody without a place has heard it.
+#[test]
+fn a_stop_to_all_that_was_handed_back_and_is_lifted_goes_when_it_is_called_again() {
+    let (mut master, now) = stopped_and_lifted(StopKind::Off);
+    master.handle_pushed_out(&packet_to_all(Shutdown.encode()));
+    assert_eq!(sent(&mut master, ms(now)), []);
+    assert!(reaches_all(&mut master, StopKind::Off, now + 1));
+}
