@@ -26,7 +26,7 @@ use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner
 use crate::master::{Config, Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::units::{Angle, MaxSpeed, MaxTorque, Milliseconds, ReportInterval};
 use crate::wire::can::{self, Received, SimpleFrame};
 
@@ -236,6 +236,8 @@ fn a_scan_finds_whoever_reports_its_status_by_itself_and_tells_of_it_once() {
     let command = ReportedCommand::of(Opcode::ReadStatus1).unwrap();
     let interval = ReportInterval::from_raw(1);
     arm.ask(id(1), ActiveReply { command, enable: Switch::On, interval }).unwrap();
+    // What it says to that, and nothing more.
+    arm.run_until(Instant::from_millis(10), |_| {}).unwrap();
     let mut told = Vec::new();
     let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
     assert_eq!((found, told), (Ok(id(1).into()), Vec::from([(id(1), true)])));
@@ -548,6 +550,72 @@ fn an_error_that_ends_a_move_is_why_it_has_not_arrived() {
         let moved = bring_up::move_to(&mut arm, id(3), target, &MoveLimits::default(), go_on);
         let why = moved.expect_err("it does not move").why;
         assert_eq!(why, MoveFailure::Fault(ErrorFlags::STALL), "{answer}");
+    }
+}
+
+/// It turns at 500 dps, and its angle is 5,000 degrees further within 20 ms, when it has been on its way for a while: its
+/// turns were lost. Nobody has missed an answer, or asks how long it has run.
+#[test]
+fn a_jump_between_two_looks_at_a_move_is_a_restart() {
+    for jumps_at in [2, 3, 20] {
+        let mut looks = 0;
+        let (bus, mut arm) = says(|data| {
+            if data[0] == 0x92 {
+                looks += 1;
+                // 5,360 degrees.
+                if looks >= jumps_at {
+                    *data = [0x92, 0, 0, 0, 0xC0, 0x2D, 0x08, 0];
+                }
+            }
+        });
+        let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(0));
+        let target = AbsolutePosition { max_speed, angle };
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let moved = bring_up::move_to(&mut arm, id(3), target, &MoveLimits::default(), go_on);
+        let restarted = CallError::refused(id(3))(RequestError::Restarted);
+        assert_eq!(moved.map_err(|it| it.why), Err(restarted.into()), "{jumps_at}");
+        assert_eq!(times_sent(&bus, ReadRunTime.encode()), 1, "before it began");
+    }
+}
+
+/// One that names a place may be obeyed twice.
+#[test]
+fn a_move_to_a_place_whose_answer_is_lost_is_sent_again() {
+    let mut lost = 0;
+    let (bus, mut arm) = hearing(|packet| {
+        let is_lost = packet.data[0] == 0xA4 && lost < 2;
+        lost += u8::from(is_lost);
+        usize::from(!is_lost)
+    });
+    let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(36_000));
+    let target = AbsolutePosition { max_speed, angle };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let moved = bring_up::move_to(&mut arm, id(1), target, &MoveLimits::default(), go_on);
+    assert!(moved.is_ok(), "{moved:?}");
+    assert_eq!(times_sent(&bus, target.encode()), 3);
+}
+
+/// The motor runs nothing, and the sixth look is the last. Its answers are that before the move and one with each look.
+#[test]
+fn a_move_whose_time_is_up_has_failed_by_an_error_or_by_what_the_drive_says_of_itself() {
+    for (answer, is_fault) in [(8, true), (9, false)] {
+        let mut answers = 0;
+        let (_, mut arm) = says(|data| match data {
+            [0x92, ..] => answers += 1,
+            [0xB1, ..] => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
+            [0x9A, ..] if answers >= answer => data[6] = 0x02,
+            [0x70, ..] => *data = [0x70, 0, 0, 0, 0, 0, 0, 0],
+            _ => {}
+        });
+        let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(0));
+        let target = AbsolutePosition { max_speed, angle };
+        let limits = MoveLimits { time: Some(Duration::from_millis(110)), ..MoveLimits::default() };
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let moved = bring_up::move_to(&mut arm, id(3), target, &limits, go_on);
+        let why = moved.expect_err("it does not move").why;
+        let here = MoveFailure::LetGo { at: Angle::from_raw(36_000) };
+        let fault = MoveFailure::Fault(ErrorFlags::STALL);
+        assert_eq!(why, if is_fault { fault } else { here }, "{answer}");
     }
 }
 
