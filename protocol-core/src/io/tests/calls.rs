@@ -166,11 +166,16 @@ fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
         let (bus, mut arm) = arm();
         if fails_in_flight {
             // All places are taken by what a scan has sent when the driver fails.
-            let scan = bring_up::scan(&mut arm, nobody, |_, _| bus.state().receive_fails = true);
+            let mut told = 0;
+            let scan = bring_up::scan(&mut arm, nobody, |_, _| {
+                told += 1;
+                bus.state().receive_fails = true;
+            });
             assert_eq!(scan, Err(CallError::Bus(Broken)));
+            assert_eq!(told, 1, "of the others nobody knows");
         } else {
             bus.state().transmit_fails = true;
-            let scan = bring_up::scan(&mut arm, nobody, |_, _| {});
+            let scan = bring_up::scan(&mut arm, nobody, |_, _| panic!("nobody was asked"));
             assert_eq!(scan, Err(CallError::Bus(Broken)));
         }
         bus.state().receive_fails = false;

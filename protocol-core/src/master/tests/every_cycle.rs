@@ -312,19 +312,24 @@ fn a_hold_behind_what_all_were_told_is_no_stop_that_is_called_again() {
     is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(32));
 }
 
-/// It was off before, and all are told the same.
+/// It was off before, and all are told the same, or asked something.
 #[test]
-fn a_stop_behind_the_same_for_all_is_one_that_is_called_again() {
-    let mut master = called_again(StopKind::Off);
-    assert_eq!(sent(&mut master, ms(2)).len(), 1);
-    says(&mut master, 8, TORQUE_REPLY, Instant::from_micros(2_900)).unwrap();
-    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
-    assert_eq!(sent(&mut master, ms(3)), [packet_to_all(Shutdown.encode())]);
-    events(&mut master, ms(30));
-    is_stopped_by_line(&mut master, 1, StopKind::Off, ms(30));
-    master.set_point(id(8), torque(1.0), ms(31)).unwrap();
-    master.stop(id(1), StopKind::Off).unwrap();
-    assert_eq!(sent(&mut master, ms(31)), [packet_to(8, torque(1.0).encode())]);
+fn a_stop_behind_the_same_for_all_or_a_question_to_all_is_one_that_is_called_again() {
+    fn goes_behind_a_set_point_after<C: Command>(to_all: C) {
+        let mut master = called_again(StopKind::Off);
+        assert_eq!(sent(&mut master, ms(2)).len(), 1);
+        says(&mut master, 8, TORQUE_REPLY, Instant::from_micros(2_900)).unwrap();
+        let data = to_all.encode();
+        master.broadcast(to_all, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(3)), [packet_to_all(data)]);
+        events(&mut master, ms(30));
+        is_stopped_by_line(&mut master, 1, StopKind::Off, ms(30));
+        master.set_point(id(8), torque(1.0), ms(31)).unwrap();
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(31)), [packet_to(8, torque(1.0).encode())], "{data:?}");
+    }
+    goes_behind_a_set_point_after(Shutdown);
+    goes_behind_a_set_point_after(ReadModel);
 }
 
 /// Motors 2 and 4 are off, and called again; motor 1 is held, and was asked something since motor 2 was.
