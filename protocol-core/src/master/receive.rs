@@ -1,6 +1,6 @@
 //! What a received frame means to the master.
 
-use crate::command::{AnyReply, BusId, Command};
+use crate::command::{AnyReply, BusId, Command, ReadStatus1};
 use crate::data::Data;
 use crate::id::MotorId;
 use crate::master::late::Question;
@@ -132,12 +132,7 @@ impl<const N: usize> Master<N> {
                 let reply = AnyReply::decode(packet, self.config.firmware).ok();
                 reply.filter(|_| is_answer).map(|reply| Event::BroadcastReply { motor: id, reply })
             }
-            Meaning::Late => {
-                if let Some(trips) = &mut self.round_trips {
-                    trips.was_too_short(&mut self.config);
-                }
-                Some(self.errors_of(id, packet).unwrap_or_else(|| self.stray(id, &packet.data)))
-            }
+            Meaning::Late => Some(self.handle_late(id, packet)),
             Meaning::Unasked { is_doubled } => {
                 Some(self.handle_unasked(id, packet, now, is_doubled))
             }
@@ -216,10 +211,21 @@ impl<const N: usize> Master<N> {
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
     }
 
+    /// An answer has come too late.
+    #[inline(never)]
+    fn handle_late(&mut self, motor: MotorId, packet: &Packet) -> Event {
+        if let Some(trips) = &mut self.round_trips {
+            trips.was_too_short(&mut self.config);
+        }
+        self.errors_of(motor, packet).unwrap_or_else(|| self.stray(motor, &packet.data))
+    }
+
     /// What is late, or tells nothing, tells all the same that a motor has errors: it may report them by itself (function 3).
+    #[inline(never)]
     fn errors_of(&self, motor: MotorId, packet: &Packet) -> Option<Event> {
-        let reply = AnyReply::decode(packet, self.config.firmware).ok().filter(has_errors)?;
-        Some(Event::Report { motor, reply })
+        let status = ReadStatus1::decode_reply(&packet.data).ok()?;
+        let reply = AnyReply::ReadStatus1(status);
+        has_errors(&reply).then_some(Event::Report { motor, reply })
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
