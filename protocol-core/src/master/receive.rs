@@ -121,7 +121,7 @@ impl<const N: usize> Master<N> {
                 self.broadcast.note_motion_ended_of(id);
                 Some(Event::StopConfirmed { motor: id })
             }
-            Meaning::Nothing => self.errors_of(id, packet),
+            Meaning::Nothing => None,
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
                 self.broadcast.note_answer_of(id, now, &self.config);
@@ -211,21 +211,16 @@ impl<const N: usize> Master<N> {
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
     }
 
-    /// An answer has come too late.
+    /// An answer has come too late. If it says that the motor has errors, it may be a report of these (function 3).
     #[inline(never)]
     fn handle_late(&mut self, motor: MotorId, packet: &Packet) -> Event {
         if let Some(trips) = &mut self.round_trips {
             trips.was_too_short(&mut self.config);
         }
-        self.errors_of(motor, packet).unwrap_or_else(|| self.stray(motor, &packet.data))
-    }
-
-    /// What is late, or tells nothing, tells all the same that a motor has errors: it may report them by itself (function 3).
-    #[inline(never)]
-    fn errors_of(&self, motor: MotorId, packet: &Packet) -> Option<Event> {
-        let status = ReadStatus1::decode_reply(&packet.data).ok()?;
-        let reply = AnyReply::ReadStatus1(status);
-        has_errors(&reply).then_some(Event::Report { motor, reply })
+        match ReadStatus1::decode_reply(&packet.data).map(AnyReply::ReadStatus1) {
+            Ok(reply) if has_errors(&reply) => Event::Report { motor, reply },
+            _ => self.stray(motor, &packet.data),
+        }
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
@@ -237,6 +232,7 @@ impl<const N: usize> Master<N> {
         Event::LostMaster { motor }
     }
 
+    #[inline(never)]
     fn stray(&mut self, motor: MotorId, data: &Data) -> Event {
         self.count_stray(motor);
         Event::Stray { motor, data: *data }
