@@ -5,7 +5,7 @@ use std::ops::Deref;
 
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 
-use super::{SharedBus, SharedBusError};
+use super::{SharedBus, SharedBusError, Stopping};
 use crate::open::BusError;
 
 /// A handle that stops all motors of the bus when its thread leaves it: by `?`, `break`, `return`, a panic that
@@ -14,9 +14,9 @@ use crate::open::BusError;
 ///
 /// A handle alone does not: while any other thread has one, the motors go on.
 ///
-/// It waits for the motors, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP): of two buses in one thread
-/// the second is stopped after that, where the first is cut. Guard each in a thread of its own, or
-/// [begin](SharedBus::begin_stop_all) the stop of both before the guards are dropped.
+/// It waits for the motors, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP), and for as long once more
+/// where its handle is the last: of two buses in one thread the second would be stopped after that, where the first is
+/// cut. [`Guards`] stop several at the same time.
 ///
 /// It cannot stop them where nobody leaves it: when `main` returns while it lives in another thread, for example. [What
 /// ends a shared bus](super#what-ends-it) names the others.
@@ -66,6 +66,73 @@ impl<E: fmt::Debug + Send + Sync + 'static> Drop for Guard<E> {
         if !self.is_finished {
             let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
         }
+    }
+}
+
+/// Handles of several buses, of which all motors are stopped when their thread leaves them, as by a [`Guard`] of each, but
+/// at the same time: a bus that is cut holds up no other. It is used as the array of the handles.
+///
+/// ```
+/// use myactuator_host_std::open::BusAddress;
+/// use myactuator_host_std::protocol::MotorId;
+/// use myactuator_host_std::protocol::command::ReleaseBrake;
+/// use myactuator_host_std::protocol::master::StopKind;
+/// use myactuator_host_std::share::{Guards, SharedBus};
+///
+/// let address: BusAddress = "sim:4".parse()?;
+/// let arms = [SharedBus::open(&address, StopKind::Hold)?, SharedBus::open(&address, StopKind::Hold)?];
+/// let arms = Guards::new(arms, StopKind::Hold);
+/// for arm in arms.iter() {
+///     arm.ask(MotorId::MIN, ReleaseBrake)?;
+/// }
+/// for unconfirmed in arms.finish() {
+///     let unconfirmed = unconfirmed?;
+///     assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Guards<const M: usize, E: fmt::Debug + Send + Sync + 'static = BusError> {
+    buses: [SharedBus<E>; M],
+    kind: StopKind,
+    is_finished: bool,
+}
+
+impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
+    /// Guards what is done by these handles.
+    pub const fn new(buses: [SharedBus<E>; M], kind: StopKind) -> Self {
+        Self { buses, kind, is_finished: false }
+    }
+
+    /// Stops all motors of all buses now, and gives those of each that have not confirmed it: **cut their power**.
+    ///
+    /// # Errors
+    /// Of each bus, as [`SharedBus::stop_all`].
+    pub fn finish(mut self) -> [Result<MotorSet, SharedBusError<E>>; M] {
+        self.is_finished = true;
+        self.stop()
+    }
+
+    fn stop(&self) -> [Result<MotorSet, SharedBusError<E>>; M] {
+        let stops = self.buses.each_ref().map(|bus| bus.begin_stop_all(self.kind, MotorSet::EMPTY));
+        stops.map(Stopping::wait)
+    }
+}
+
+impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Drop for Guards<M, E> {
+    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    fn drop(&mut self) {
+        if !self.is_finished {
+            let _unconfirmed = self.stop();
+        }
+    }
+}
+
+impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Deref for Guards<M, E> {
+    type Target = [SharedBus<E>; M];
+
+    fn deref(&self) -> &[SharedBus<E>; M] {
+        &self.buses
     }
 }
 

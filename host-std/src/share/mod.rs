@@ -104,7 +104,7 @@ mod ways;
 mod worker;
 
 pub use error::SharedBusError;
-pub use guard::Guard;
+pub use guard::{Guard, Guards};
 pub use shared_bus::{SharedBus, Stopping, WeakBus};
 pub use state::Latest;
 pub use subscription::Subscription;

@@ -22,7 +22,7 @@ use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
-use super::{Guard, SharedBus, SharedBusError};
+use super::{Guard, Guards, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};
 use crate::sim::bus::trace::{self, Log};
@@ -635,6 +635,26 @@ fn who_waits_for_long_is_not_told_that_the_driver_is_held() {
     let told = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
     tells(&told, 1, Failure::NoReply);
     fleet.world.mend(fleet.drives[0].station());
+}
+
+#[test]
+fn of_several_guarded_buses_none_waits_for_another() {
+    let (_first, order, held) = fragile();
+    let (second, _, bus) = fragile();
+    for bus in [&held, &bus] {
+        bus.ask(id(1), turn(90.0)).unwrap();
+    }
+    let log = second.world.log();
+    hold_up(&order);
+    let leaving = thread::spawn(move || drop(Guards::new([held, bus], StopKind::Hold)));
+    let begun = std::time::Instant::now();
+    while !packets(&log).iter().any(|packet| packet.data[0] == 0x81) {
+        // Whoever waits for the first does so for two seconds.
+        assert!(begun.elapsed() < std::time::Duration::from_secs(1), "the second is not stopped");
+        thread::yield_now();
+    }
+    order.store(WORK, Ordering::SeqCst);
+    leaving.join().unwrap();
 }
 
 #[test]

@@ -1,7 +1,13 @@
 //! Leaving a control loop leaves it through the stop.
 
+use core::ops::{Deref, DerefMut};
+
+use embassy_futures::block_on;
+use embassy_futures::join::join_array;
+
 use crate::io::async_runner::AsyncRunner;
 use crate::io::on_drop::OnDrop;
+use crate::io::polled::Polled;
 use crate::io::runner::Runner;
 use crate::master::{Event, Master, MotorSet, StopKind};
 use crate::time::Instant;
@@ -30,8 +36,13 @@ use crate::time::Instant;
 /// The motors are [those that have a place](crate::master::Master::motors): whoever was asked, moved or
 /// [found](crate::io::bring_up::scan), and whom a [broadcast](crate::master::Master::broadcast) was expected to move.
 ///
-/// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second is
-/// stopped after that, where the first is cut. Give each bus a thread or a task.
+/// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second would be
+/// stopped after that, where the first is cut. [`Guards`] stop several at the same time. Firmware whose watchdog does not
+/// wait for so long calls [`Master::stop_all`] and goes on with its loop, which tells who has confirmed.
+///
+/// **Who has not confirmed may be obeying what still lies in a controller when its power comes back**, or its cable: cut
+/// its power, and before that comes back go on running the bus, with the stop in force, or reset the controller (Linux:
+/// `ip link set can0 down`).
 ///
 /// It cannot stop them where nobody leaves it: in a program that is killed, aborts, calls `exit`, is ended by a signal
 /// (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread. For those set
@@ -83,6 +94,74 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 
     fn idle(&mut self, until: Instant) {
         self.bus.idle(until);
+    }
+}
+
+/// Several loops, of which all motors are stopped when they are left, as by a [`Guard`] of each, but at the same time: a bus
+/// that is cut holds up no other. It is used as the array of the loops.
+///
+/// ```no_run
+/// # use myactuator_protocol_core::command::Torque;
+/// # use myactuator_protocol_core::io::{CallError, Guards, Runner};
+/// # use myactuator_protocol_core::{MotorId, master::StopKind};
+/// # fn walk<R: Runner<4>>(legs: [&mut R; 3], motor: MotorId, torque: Torque) -> Result<(), CallError<R::Error>> {
+/// let mut legs = Guards::new(legs, StopKind::Hold);
+/// for leg in legs.iter_mut() {
+///     leg.set_point(motor, torque)?;
+///     let now = leg.now();
+///     leg.run_until(now, |_event| {})?;
+/// }
+/// for (leg, unconfirmed) in legs.finish().into_iter().enumerate() {
+///     assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed} of leg {leg}");
+/// }
+/// # Ok(()) }
+/// ```
+#[derive(Debug)]
+#[must_use = "the motors are stopped when they are dropped"]
+pub struct Guards<'a, R: Runner<N>, const M: usize, const N: usize> {
+    buses: [&'a mut R; M],
+    kind: StopKind,
+}
+
+impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
+    /// Guards these loops.
+    pub const fn new(buses: [&'a mut R; M], kind: StopKind) -> Self {
+        Self { buses, kind }
+    }
+
+    /// Stops all motors of all buses now, and gives those of each that have not confirmed it: **cut their power**.
+    #[must_use = "those that have not confirmed the stop may still move: cut their power"]
+    pub fn finish(self) -> [MotorSet; M] {
+        core::mem::ManuallyDrop::new(self).stop()
+    }
+
+    fn stop(&mut self) -> [MotorSet; M] {
+        let kind = self.kind;
+        let buses = self.buses.each_mut();
+        block_on(join_array(buses.map(async |bus: &mut &mut R| {
+            Polled(&mut **bus).stop_all(kind, MotorSet::EMPTY).await
+        })))
+    }
+}
+
+impl<R: Runner<N>, const M: usize, const N: usize> Drop for Guards<'_, R, M, N> {
+    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    fn drop(&mut self) {
+        let _unconfirmed = self.stop();
+    }
+}
+
+impl<'a, R: Runner<N>, const M: usize, const N: usize> Deref for Guards<'a, R, M, N> {
+    type Target = [&'a mut R; M];
+
+    fn deref(&self) -> &[&'a mut R; M] {
+        &self.buses
+    }
+}
+
+impl<R: Runner<N>, const M: usize, const N: usize> DerefMut for Guards<'_, R, M, N> {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.buses
     }
 }
 

@@ -50,7 +50,7 @@ pub use can::{BlockingCan, CanMaster};
 pub use clock::{AsyncClock, Clock};
 pub use echo::EchoFilter;
 pub use elapsed::Elapsed;
-pub use guard::{Guard, guarded};
+pub use guard::{Guard, Guards, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
 pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
 pub use serial::SerialMaster;

@@ -1,5 +1,7 @@
 //! Ways of working are written once, for tasks; a loop that polls runs them, too.
 
+use embassy_futures::yield_now;
+
 use crate::io::async_runner::AsyncRunner;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::{LONGEST_IDLE, Runner};
@@ -28,12 +30,18 @@ impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
                 Ok(None) if until.is_none_or(|until| now < until) => {}
                 Ok(event) => return Ok(event),
                 Err(error) => {
-                    self.0.idle(now + RETRY_AFTER);
+                    idle(self.0, now + RETRY_AFTER).await;
                     return Err(error);
                 }
             }
             let latest = now + LONGEST_IDLE;
-            self.0.idle(until.map_or(latest, |until| until.min(latest)));
+            idle(self.0, until.map_or(latest, |until| until.min(latest))).await;
         }
     }
+}
+
+/// Other loops of this thread send before this one idles.
+async fn idle<R: Runner<N> + ?Sized, const N: usize>(runner: &mut R, until: Instant) {
+    yield_now().await;
+    runner.idle(until);
 }

@@ -4,7 +4,9 @@ use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::vec::Vec;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls};
+use super::world::{
+    Broken, CanState, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls,
+};
 use super::{id, step, torque};
 use crate::Data;
 use crate::command::{ReadMultiTurnAngle, Stop};
@@ -13,11 +15,12 @@ use crate::id::Target;
 use crate::io::async_bring_up::move_to;
 use crate::io::bring_up::MoveLimits;
 use crate::io::{
-    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
-    SerialMaster, guarded,
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Guards,
+    LONGEST_STOP, Runner, SerialMaster, guarded,
 };
-use crate::master::{Event, Failure, MotorSet, StopKind};
+use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::packet::{Channel, Packet};
+use crate::time::Duration;
 use crate::wire::rs485::Frame;
 
 /// What motor 1 is told while it is stopped.
@@ -236,4 +239,52 @@ fn what_was_guarded_to_its_end_is_stopped_once() {
     assert_eq!(stops(&bus), 1);
     block_on(arm.ask(id(2), ReadMultiTurnAngle)).unwrap();
     assert_eq!(stops(&bus), 1);
+}
+
+/// Two buses at one clock, with motor 1 on each, of which the first carries nothing any more. Leaves them in this way;
+/// gives when motor 1 of the second was told to stop, after that, and how long it took in all.
+fn of_two_the_first_is_cut(
+    cut: fn(&mut CanState),
+    leave: impl FnOnce(Guards<'_, CanMaster<TestCan, TestClock, 4>, 2, 4>),
+) -> [Duration; 2] {
+    let clock = TestClock::default();
+    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
+    let mut buses =
+        cans.clone().map(|can| CanMaster::<_, _, 4>::new(can, clock.clone(), Config::CAN));
+    for bus in &mut buses {
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    cut(&mut cans[0].state());
+    let begun = buses[1].now();
+    leave(Guards::new(buses.each_mut(), StopKind::Hold));
+    assert_eq!(cans[1].sent().last(), Some(&Stop.encode()));
+    for bus in &mut buses {
+        assert_eq!(bus.set_point(id(1), torque()), Err(refused()));
+    }
+    let [_, second] = &mut buses;
+    let heard = second.master().health(id(1)).last_seen.unwrap();
+    [heard - begun, second.now() - begun]
+}
+
+#[test]
+fn of_several_buses_none_waits_for_another() {
+    let ways: [fn(Guards<'_, CanMaster<TestCan, TestClock, 4>, 2, 4>); 3] = [
+        |buses| assert_eq!(buses.finish(), [id(1).into(), MotorSet::EMPTY]),
+        |buses| drop(buses),
+        |mut buses| {
+            buses[1].set_point(id(1), torque()).unwrap();
+            let panics = AssertUnwindSafe(|| {
+                let _buses = buses;
+                panic!("a test that panics");
+            });
+            catch_unwind(panics).unwrap_err();
+        },
+    ];
+    let cuts: [fn(&mut CanState); 2] =
+        [|can| can.full_until = u64::MAX, |can| can.transmit_fails = true];
+    for (cut, leave) in cuts.into_iter().flat_map(|cut| ways.map(|leave| (cut, leave))) {
+        let [heard, all] = of_two_the_first_is_cut(cut, leave);
+        assert!(heard <= Duration::from_millis(6), "{heard}");
+        assert!(all <= LONGEST_STOP + Duration::from_millis(20), "{all}");
+    }
 }
