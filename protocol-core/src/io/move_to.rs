@@ -96,6 +96,10 @@ pub struct MoveLimits {
     pub stalled_after: Duration,
     /// What becomes of it then.
     pub when_stalled: WhenStalled,
+    /// How the motor is stopped if it does not arrive, or the move is left halfway. [`StopKind::Hold`] holds where it is
+    /// **with all its torque**, whatever limited that of the move: a gripper that has just met something would crush it
+    /// by as much as its way to rest takes. [`StopKind::Off`] lets go: a load falls that no brake holds.
+    pub stop: StopKind,
 }
 
 /// What becomes of a motor that has stalled on its way.
@@ -103,13 +107,14 @@ pub struct MoveLimits {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum WhenStalled {
-    /// It has not arrived, and is stopped: it holds where it is **with all its torque**, whatever limited that of the
-    /// move.
+    /// It has not arrived, and is [stopped](MoveLimits::stop).
     #[default]
     Stop,
     /// It goes on pressing with the torque that the move allows, as a gripper does
     /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well: its
-    /// [`angle`](MoveProgress::angle) is where it has met something.
+    /// [`angle`](MoveProgress::angle) is where it has met something. How hard it meets that is a matter of its speed, of
+    /// which the torque says nothing: let it come slowly. To hold on, send the same command again; another move would
+    /// find that it comes no nearer.
     ///
     /// It has met something only if it stands, and stands nearer to its target than where the move began. Else the
     /// move has failed, and it is stopped: one that turns is driven away ([`MoveFailure::Turning`]), and one that
@@ -117,7 +122,7 @@ pub enum WhenStalled {
     Press,
 }
 
-/// Within 0.2 degrees, in the usual time, with no more than a second without progress, and then a stop.
+/// Within 0.2 degrees, in the usual time, with no more than a second without progress, and else a stop that holds.
 impl Default for MoveLimits {
     fn default() -> Self {
         Self {
@@ -125,6 +130,7 @@ impl Default for MoveLimits {
             time: None,
             stalled_after: Duration::from_secs(1),
             when_stalled: WhenStalled::Stop,
+            stop: StopKind::Hold,
         }
     }
 }
@@ -264,12 +270,12 @@ pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<B::Error>> {
-    let moving = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, StopKind::Hold));
+    let moving = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, limits.stop));
     let outcome = go(moving.it, motor, command, limits, on_look).await;
     let result = match outcome {
         Ok(arrival) => Ok(arrival),
         Err(why) => {
-            let is_stopped = moving.it.stop(motor, StopKind::Hold).await;
+            let is_stopped = moving.it.stop(motor, limits.stop).await;
             Err(NotArrived { motor, why, is_stopped })
         }
     };

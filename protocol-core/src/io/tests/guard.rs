@@ -9,11 +9,11 @@ use super::world::{
 };
 use super::{id, step, torque};
 use crate::Data;
-use crate::command::{ReadMultiTurnAngle, Stop};
+use crate::command::{ReadMultiTurnAngle, Shutdown, Stop};
 use crate::error::RequestError;
 use crate::id::Target;
 use crate::io::async_bring_up::move_to;
-use crate::io::bring_up::MoveLimits;
+use crate::io::bring_up::{self, MoveLimits};
 use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Guards,
     LONGEST_STOP, Runner, SerialMaster, guarded,
@@ -287,4 +287,28 @@ fn of_several_buses_none_waits_for_another() {
         assert!(heard <= Duration::from_millis(6), "{heard}");
         assert!(all <= LONGEST_STOP + Duration::from_millis(20), "{all}");
     }
+}
+
+/// A gripper that is to let go, and not to hold with all its torque what it has reached.
+#[test]
+fn a_move_is_stopped_as_its_limits_say_however_it_is_left() {
+    let limits = MoveLimits { stop: StopKind::Off, ..MoveLimits::default() };
+    let told_last = |bus: &TestCan| bus.sent().last().copied();
+    let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
+    let moved = bring_up::move_to(&mut arm, id(1), step(), &limits, |_| ControlFlow::Break(()));
+    assert!(moved.unwrap_err().is_stopped);
+    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
+
+    let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
+    let moves = AssertUnwindSafe(|| {
+        bring_up::move_to(&mut arm, id(1), step(), &limits, |_| panic!("a test that panics"))
+    });
+    catch_unwind(moves).unwrap_err();
+    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
+
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<TestCan, TestClock, 4>::new);
+    let go_on = |_: &_| ControlFlow::Continue(());
+    assert!(polls(move_to(&mut arm, id(1), step(), &limits, go_on), 50).is_none());
+    let _ = block_on(arm.run(Some(arm.now())));
+    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
 }
