@@ -122,6 +122,8 @@ impl Can for SocketCan {
     }
 
     fn receive(&mut self) -> nb::Result<CanFrame, PortError> {
+        // What found no room is offered again behind this, if anybody wants it yet.
+        self.backlog.set(false);
         for _ in 0..READS_A_CALL {
             match self.socket.read_frame() {
                 Ok(CanFrame::Error(reports)) => {
@@ -195,6 +197,14 @@ fn explain(interface: &str, error: io::Error) -> PortError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::fd::OwnedFd;
+    use std::os::unix::net::UnixDatagram;
+
+    use embedded_can::{Frame as _, StandardId};
+    use myactuator_protocol_core::io::Clock as _;
+    use myactuator_protocol_core::time::Duration;
+
+    const MOMENT: Duration = Duration::from_millis(20);
 
     #[test]
     fn reports_tell_a_dead_bus_from_a_bad_one() {
@@ -222,6 +232,34 @@ mod tests {
             };
             assert_eq!(verdict, told, "{report}");
         }
+    }
+
+    /// A socket that takes frames as an interface does, and its other end.
+    fn made() -> (SocketCan, UnixDatagram) {
+        let (end, other) = UnixDatagram::pair().unwrap();
+        let socket = CanSocket::from(OwnedFd::from(end));
+        socket.set_nonblocking(true).unwrap();
+        let (outage, backlog) = (Outage::default(), Backlog::default());
+        (SocketCan { socket, interface: "can7".to_owned(), outage, backlog }, other)
+    }
+
+    /// Frames were refused, and are dropped as too old meanwhile; then the socket has room again.
+    #[test]
+    fn nobody_looks_again_and_again_for_room_that_nothing_wants() {
+        let (mut can, other) = made();
+        let clock = can.clock().unwrap();
+        let read = CanFrame::new(StandardId::new(0x141).unwrap(), &[0x92; 8]).unwrap();
+        while can.transmit(&read).is_ok() {}
+        other.set_nonblocking(true).unwrap();
+        while other.recv(&mut [0; 16]).is_ok() {}
+        // The rounds of a master that has nothing to send.
+        let (begun, mut rounds) = (clock.now(), 0);
+        while clock.now() - begun < MOMENT {
+            assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+            clock.idle(begun + MOMENT);
+            rounds += 1;
+        }
+        assert!(rounds < 10, "{rounds}");
     }
 
     #[test]
