@@ -27,3 +27,5 @@ pub use address::BusAddress;
 pub use any_master::AnyMaster;
 pub(crate) use any_master::Wake;
 pub use error::BusError;
+/// What `share` tells by for how long something has lain there.
+pub(crate) use crate::port::since_boot;

@@ -12,7 +12,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// The time since the machine started, that in which it was suspended included. `std::time::Instant` leaves
 /// that out, so that what was to be sent before would count as fresh.
-pub(super) fn since_boot() -> std::time::Duration {
+pub(crate) fn since_boot() -> std::time::Duration {
     // No time is negative here.
     clock_gettime(ClockId::Boottime).try_into().unwrap_or_default()
 }

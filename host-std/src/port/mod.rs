@@ -36,6 +36,8 @@ mod slcan;
 mod tty;
 
 pub use can::SocketCan;
+#[cfg(feature = "sim")]
+pub(crate) use clock::since_boot;
 pub use clock::{HostClock, HostWaker};
 pub use error::PortError;
 pub use latency::SlowAdapter;

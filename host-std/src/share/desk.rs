@@ -16,7 +16,7 @@ use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Told, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
 use super::subscription::{Subscriber, Subscription};
-use crate::open::Wake;
+use crate::open::{Wake, since_boot};
 
 /// What is laid down the thread takes up sooner, also where it idles: else its driver holds it. Tests wait for less.
 const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 1_000 } else { 2_000 });
@@ -94,7 +94,7 @@ impl<E> Desk<E> {
         if let Some(refusal) = slot.refusal.take() {
             return Err(SharedBusError::Refused { motor, refusal });
         }
-        slot.set_point = Some(LaidDown { command, found_at: None });
+        slot.set_point = Some(LaidDown { command, laid_at: since_boot(), found_at: None });
         self.leave(state);
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
@@ -12,6 +12,7 @@ use myactuator_protocol_core::{Kind, MotorId, time};
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
 use super::subscription::Subscriber;
+use crate::open::since_boot;
 
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,8 @@ pub struct Latest {
 #[derive(Debug)]
 pub(super) struct LaidDown {
     pub(super) command: Untyped,
+    /// When that was; time since the machine started.
+    pub(super) laid_at: Duration,
     /// When it was found first, where it has to wait for what ends motion: it is as old as that at least.
     pub(super) found_at: Option<time::Instant>,
 }
@@ -99,8 +102,8 @@ pub(super) trait Clerk<E> {
         found_at: time::Instant,
     ) -> Result<(), RequestError>;
 
-    /// What lies there now may be as old as this.
-    fn looked_at(&self) -> time::Instant;
+    /// Since when something may lie there that was laid down so long ago, by the clock of the machine.
+    fn found_at(&self, age: Duration) -> time::Instant;
 
     /// Puts a question; gives it back if it has to wait.
     fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
@@ -226,10 +229,13 @@ impl<E> State<E> {
             self.questions.iter().filter(ends_motion).map(|question| question.motor).collect();
         for motor in MotorId::all() {
             let slot = self.slot(motor);
-            let Some(LaidDown { command, found_at }) = slot.set_point.take() else { continue };
-            let found_at = found_at.unwrap_or_else(|| clerk.looked_at());
+            let Some(LaidDown { command, laid_at, found_at }) = slot.set_point.take() else {
+                continue;
+            };
+            let age = || since_boot().saturating_sub(laid_at);
+            let found_at = found_at.unwrap_or_else(|| clerk.found_at(age()));
             if ending.contains(motor) {
-                slot.set_point = Some(LaidDown { command, found_at: Some(found_at) });
+                slot.set_point = Some(LaidDown { command, laid_at, found_at: Some(found_at) });
             } else if let Err(refusal) = clerk.set_point(motor, command, found_at) {
                 slot.refusal = Some(refusal);
             }

@@ -292,6 +292,8 @@ const BLOCK_AT_WORK: u32 = 7;
 /// Is suspended for longer than a stop is tried when something waits to be sent.
 const SUSPEND_AT_WORK: u32 = 8;
 pub(super) const PANIC: u32 = 9;
+/// Is suspended for 100 ms while it idles, once it gets another order.
+const SUSPEND_IDLE: u32 = 10;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -335,11 +337,12 @@ impl Runner<8> for Fragile {
             }
             return Ok(None);
         }
-        if ![FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK, PANIC].contains(&order) {
+        let lasting = [FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK, PANIC, SUSPEND_IDLE, BLOCKED];
+        if !lasting.contains(&order) {
             self.1.store(WORK, Ordering::SeqCst);
         }
         match order {
-            WORK | BLOCK_AT_WORK | SUSPEND_AT_WORK => self.0.poll(),
+            WORK | BLOCK_AT_WORK | SUSPEND_AT_WORK | SUSPEND_IDLE => self.0.poll(),
             REFUSE => {
                 let now = self.0.now();
                 self.0.master().handle_bus_down(now);
@@ -356,7 +359,18 @@ impl Runner<8> for Fragile {
     }
 
     fn idle(&mut self, until: Instant) {
-        self.0.idle(until);
+        if self.1.load(Ordering::SeqCst) == SUSPEND_IDLE {
+            self.1.store(BLOCKED, Ordering::SeqCst);
+            while self.1.load(Ordering::SeqCst) == BLOCKED {
+                thread::sleep(std::time::Duration::from_millis(1));
+            }
+            let end = self.now() + Duration::from_millis(100);
+            while self.now() < end {
+                self.0.idle(end);
+            }
+            return;
+        }
+        self.0.idle(until.min(self.now() + Duration::from_millis(1)));
     }
 }
 
@@ -517,6 +531,26 @@ fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
         events.find(|it| !matches!(it, Event::Reply { .. })),
         Some(Event::Feedback { .. })
     ));
+}
+
+/// It was laid down before the program was suspended, or held, and nobody had looked at it.
+#[test]
+fn a_set_point_that_waited_while_the_program_was_suspended_is_too_old() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let order = Arc::new(AtomicU32::new(WORK));
+    let fragile = Fragile(fleet.master(), Arc::clone(&order));
+    let bus = SharedBus::with_wake(fragile, || {}, StopKind::Hold);
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let (log, mut events) = (fleet.world.log(), bus.subscribe(100));
+    order.store(SUSPEND_IDLE, Ordering::SeqCst);
+    while order.load(Ordering::SeqCst) != BLOCKED {
+        thread::yield_now();
+    }
+    bus.set_point(id(1), turn(90.0)).unwrap();
+    thread::sleep(std::time::Duration::from_millis(100));
+    order.store(WORK, Ordering::SeqCst);
+    assert_eq!(events.next(), Some(Event::SetPointDropped { motor: id(1) }));
+    assert!(packets(&log).iter().all(|packet| packet.data[0] != 0xA2), "it moves the motor late");
 }
 
 #[test]

@@ -25,10 +25,11 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
-    let looked_at = runner.now();
+    let (taken_at, looked_at) = (runner.now(), runner.now());
     let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
     let (turn_ends, has_failed) = (None, false);
-    let mut worker = Worker { runner, asked, stopping, waiting, turn_ends, looked_at, has_failed };
+    let mut worker =
+        Worker { runner, asked, stopping, waiting, turn_ends, taken_at, looked_at, has_failed };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
         desk.has_panicked(words(&*payload));
@@ -61,7 +62,9 @@ struct Worker<R: Runner<N>, const N: usize> {
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// Until when the first of the questions that wait for their turn does so.
     turn_ends: Option<Instant>,
-    /// When the desk was looked at last, or waiting for what comes there ended: what lies there now may be as old.
+    /// When what lay on the desk was taken up last: what lies there now is no older.
+    taken_at: Instant,
+    /// When that was, or waiting for what comes there ended.
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
@@ -89,7 +92,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         self.turn_ends = None;
         self.withdraw_what_was_given_up();
         let goes_on = desk.take(self);
-        self.looked_at = self.runner.now();
+        self.taken_at = self.runner.now();
+        self.looked_at = self.taken_at;
         match self.runner.poll() {
             Ok(event) => {
                 if std::mem::take(&mut self.has_failed) {
@@ -286,9 +290,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
-    fn looked_at(&self) -> Instant {
-        // A driver may have been busy for long since then.
-        self.looked_at
+    fn found_at(&self, age: time::Duration) -> Instant {
+        // A driver may have been busy for long since then, and the program have been held in its waiting.
+        let now = self.runner.now();
+        let laid_at = Instant::ZERO + ((now - Instant::ZERO) - Duration::from(age));
+        self.looked_at.min(laid_at).max(self.taken_at)
     }
 
     fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {

@@ -43,7 +43,7 @@ impl Clerk<CanError> for Notes {
         if motor == id(3) { Err(RequestError::Restarted) } else { Ok(()) }
     }
 
-    fn looked_at(&self) -> Instant {
+    fn found_at(&self, _: std::time::Duration) -> Instant {
         self.looked_at
     }
 
