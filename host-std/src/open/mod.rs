@@ -23,9 +23,9 @@ mod any_master;
 mod bursts;
 mod error;
 
+/// What `share` tells by for how long something has lain there.
+pub(crate) use crate::port::since_boot;
 pub use address::BusAddress;
 pub use any_master::AnyMaster;
 pub(crate) use any_master::Wake;
 pub use error::BusError;
-/// What `share` tells by for how long something has lain there.
-pub(crate) use crate::port::since_boot;

@@ -65,3 +65,60 @@ fn whenever_the_program_is_halted_within_a_stop_of_all_it_reaches_each_motor() {
         assert!(arm.stop_all(StopKind::Hold, three()).is_empty(), "a line, at look {looks}");
     }
 }
+
+/// Takes every byte, and keeps it: each wait for the last one takes a second, and ends in vain.
+struct Stuck(TestClock);
+
+#[derive(Debug, PartialEq, Eq)]
+struct Stalled;
+
+impl core::fmt::Display for Stalled {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("stalled")
+    }
+}
+
+impl core::error::Error for Stalled {}
+
+impl embedded_io::Error for Stalled {
+    fn kind(&self) -> embedded_io::ErrorKind {
+        embedded_io::ErrorKind::TimedOut
+    }
+}
+
+impl embedded_io::ErrorType for Stuck {
+    type Error = Stalled;
+}
+
+impl embedded_io::Read for Stuck {
+    fn read(&mut self, _: &mut [u8]) -> Result<usize, Stalled> {
+        Err(Stalled)
+    }
+}
+
+impl embedded_io::ReadReady for Stuck {
+    fn read_ready(&mut self) -> Result<bool, Stalled> {
+        Ok(false)
+    }
+}
+
+impl embedded_io::Write for Stuck {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Stalled> {
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Stalled> {
+        self.0.advance(1_000_000);
+        Err(Stalled)
+    }
+}
+
+#[test]
+fn a_stop_over_a_port_that_holds_the_loop_again_and_again_is_soon_given_up() {
+    let clock = TestClock::default();
+    let config = Config::rs485(115_200, false);
+    let mut arm = SerialMaster::<_, _, 8>::new(Stuck(clock.clone()), clock.clone(), config);
+    let motors = (1..=8).map(id).collect();
+    assert_eq!(arm.stop_all(StopKind::Hold, motors), motors);
+    assert!(clock.now() <= Instant::from_millis(5_000), "{}", clock.now() - Instant::ZERO);
+}
