@@ -129,10 +129,12 @@ impl<const N: usize> App<N> {
             {
                 self.trouble(Trouble::Errors { motor, flags: status.errors }, at);
             }
-            Event::Restarted { motor } if self.motor(motor).is_some() => {
+            Event::Restarted { motor } => {
                 // It gets no set-points from here on but after it was found again.
                 at.master.resume(motor);
-                self.trouble(Trouble::Restarted { motor }, at);
+                if self.motor(motor).is_some() {
+                    self.trouble(Trouble::Restarted { motor }, at);
+                }
             }
             Event::LostMaster { motor } if self.motor(motor).is_some() => {
                 self.trouble(Trouble::LostMaster { motor }, at);

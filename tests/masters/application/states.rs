@@ -17,6 +17,7 @@ on_both_buses! {
     a_press_in_any_state_stops_and_starts_nothing
     a_bus_error_in_any_state_stops
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
+    a_motor_that_restarted_before_it_was_looked_for_runs
     no_brake_opens_while_a_motor_has_an_error
     replies_that_are_lost_are_counted
     what_the_driver_reports_reaches_the_application
@@ -76,6 +77,23 @@ fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
     app.handle_event(&Event::LostMaster { motor }, at);
     assert_eq!(firmware.troubles(), [Trouble::LostMaster { motor }]);
     firmware.stays_stopped();
+}
+
+/// Somebody switches the motors' supply off and on before the button is pressed for the first time.
+fn a_motor_that_restarted_before_it_was_looked_for_runs<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(3_000));
+    let now = firmware.runner.now();
+    bus.drives[1].with(|drive| drive.power_off(now));
+    firmware.run_for(millis(1_000));
+    let now = firmware.runner.now();
+    bus.drives[1].with(|drive| drive.power_on(now));
+    firmware.run_for(millis(4_000));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    firmware.run_for(millis(500));
+    assert_eq!(firmware.troubles(), []);
 }
 
 fn no_brake_opens_while_a_motor_has_an_error<B: Moved>() {
