@@ -15,11 +15,30 @@ const WORKS_AGAIN: Duration = Duration::from_millis(100);
 /// comes again and again, since a driver keeps the loop each time it is used, all of it counts from the fourth time on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Elapsed {
-    /// When the time was looked at last.
-    pub(super) last: Option<Instant>,
-    total: Duration,
+    looks: Looks,
     /// How often it was held up with little between, and what the total was then.
     held_up: (u8, Duration),
+}
+
+/// When the time was looked at last, and how much of it has counted.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Looks {
+    pub(super) last: Option<Instant>,
+    total: Duration,
+}
+
+impl Looks {
+    /// Looks at the time. Gives what has counted since the first look: of no pause more than 10 ms.
+    pub(super) fn at(&mut self, now: Instant) -> Duration {
+        self.note(now, |pause| pause.min(LONGEST_PAUSE))
+    }
+
+    fn note(&mut self, now: Instant, counts: impl FnOnce(Duration) -> Duration) -> Duration {
+        if let Some(last) = self.last.replace(now) {
+            self.total = self.total + counts(now - last);
+        }
+        self.total
+    }
 }
 
 impl Elapsed {
@@ -28,22 +47,21 @@ impl Elapsed {
 
     /// Looks at the time. Gives how much has gone by since the first look.
     pub fn at(&mut self, now: Instant) -> Duration {
-        if let Some(last) = self.last {
-            let pause = now - last;
-            let counts =
-                if pause > HELD_UP { self.hold_up(pause) } else { pause.min(LONGEST_PAUSE) };
-            self.total = self.total + counts;
-        }
-        self.last = Some(now);
-        self.total
+        let Self { mut looks, .. } = *self;
+        let total = looks.note(now, |pause| match pause > HELD_UP {
+            true => self.hold_up(pause),
+            false => pause.min(LONGEST_PAUSE),
+        });
+        self.looks = looks;
+        total
     }
 
     /// Takes note of such a pause. Gives how much of it counts.
     fn hold_up(&mut self, pause: Duration) -> Duration {
         let (times, then) = self.held_up;
-        let times = if self.total - then > WORKS_AGAIN { 0 } else { times };
+        let times = if self.looks.total - then > WORKS_AGAIN { 0 } else { times };
         let counts = if times < OFTEN { LONGEST_PAUSE } else { pause };
-        self.held_up = (times.saturating_add(1), self.total + counts);
+        self.held_up = (times.saturating_add(1), self.looks.total + counts);
         counts
     }
 }

@@ -1,7 +1,7 @@
 //! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
 
 use crate::io::clock::Clock;
-use crate::io::elapsed::Elapsed;
+use crate::io::elapsed::Looks;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
@@ -111,7 +111,7 @@ pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant>
 
 /// For how long a bus has taken nothing of what it was offered.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Refusals(Elapsed);
+pub(super) struct Refusals(Looks);
 
 impl Refusals {
     /// The bus takes nothing. Gives whether it counts as down.
