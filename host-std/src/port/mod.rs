@@ -7,7 +7,8 @@
 //! | USB-CAN adapter that speaks SLCAN | [`Slcan`] |
 //! | RS485 adapter on a serial port | [`Rs485`] |
 //!
-//! None of them blocks; [`HostClock`] waits for them by `ppoll`, and [`HostWaker`] ends that.
+//! None of them blocks, but for [`Rs485`], which waits for up to a second where a port keeps what it is given;
+//! [`HostClock`] waits for them by `ppoll`, and [`HostWaker`] ends that.
 //!
 //! ```no_run
 //! use myactuator_host_std::port::SocketCan;
