@@ -36,6 +36,8 @@ const ROUND: Duration = Duration::from_millis(10);
 /// The watchdog is fed only as long as each running motor was heard within this time.
 const SEEN_WITHIN: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
+/// Whoever presses the button so soon after the motors were stopped by something else meant to stop them.
+const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
 
 /// The state, with what belongs to it.
 #[derive(Debug)]
@@ -84,6 +86,8 @@ pub struct App<const N: usize> {
     expected: MotorSet,
     rounds: Rounds,
     button: Button,
+    /// A press that begins before this starts nothing.
+    may_start_at: Instant,
     next_cycle: Instant,
 }
 
@@ -99,6 +103,7 @@ impl<const N: usize> App<N> {
             expected: setup.required,
             rounds: Rounds::new(at.now),
             button: Button::new(),
+            may_start_at: at.now,
             next_cycle: at.now,
         };
         app.stop(setup.stop, at);
@@ -167,6 +172,9 @@ impl<const N: usize> App<N> {
 
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
+            (State::Stopped { .. }, Press::Down) if at.now < self.may_start_at => {
+                self.button.use_up();
+            }
             (State::Stopped { .. }, Press::Down) => {}
             (State::Stopped { .. }, Press::Short) => {
                 for motor in &self.motors {
@@ -358,6 +366,9 @@ impl<const N: usize> App<N> {
             return;
         }
         at.board.log(&Report::Trouble(trouble));
+        if self.is_running() && trouble != Trouble::Button {
+            self.may_start_at = at.now + STOPPED_BY_ITSELF;
+        }
         // A motor with an error has cut its output and locked its brake: the others are shut down all the same.
         let goes_on =
             matches!((&self.state, trouble), (State::ShuttingDown(_), Trouble::Errors { .. }));

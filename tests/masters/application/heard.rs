@@ -231,8 +231,10 @@ fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
     unplug(&bus, &bus.drives[1]);
     firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(1_000));
+    // Sooner a press starts nothing.
+    firmware.run_for(millis(1_000));
     firmware.press(millis(50));
-    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(500));
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(1_000));
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Preparing)), 1);
 }
 

@@ -16,6 +16,7 @@ use super::{Firmware, Moved, Panel, unplug};
 on_both_buses! {
     a_press_in_any_state_stops_and_starts_nothing
     a_bus_error_in_any_state_stops
+    a_press_right_behind_a_stop_by_something_else_starts_nothing
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     a_motor_that_restarted_before_it_was_looked_for_runs
     no_brake_opens_while_a_motor_has_an_error
@@ -77,6 +78,22 @@ fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
     app.handle_event(&Event::LostMaster { motor }, at);
     assert_eq!(firmware.troubles(), [Trouble::LostMaster { motor }]);
     firmware.stays_stopped();
+}
+
+/// Whoever presses meant to stop what has just been stopped.
+fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    let now = firmware.runner.now();
+    let at = &mut Moment { now, master: firmware.runner.master(), board: &mut firmware.panel };
+    firmware.app.handle_bus_error(at);
+    firmware.run_for(millis(300));
+    firmware.press(millis(100));
+    firmware.stays_stopped();
+    assert_eq!(firmware.troubles(), [Trouble::BusDown]);
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }
 
 /// Somebody switches the motors' supply off and on before the button is pressed for the first time.
