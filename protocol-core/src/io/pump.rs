@@ -1,7 +1,7 @@
 //! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
 
 use crate::io::clock::Clock;
-use crate::io::elapsed::Looks;
+use crate::io::elapsed::Elapsed;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
@@ -10,6 +10,9 @@ const LOOKS_IN_A_ROW: u8 = 64;
 
 /// A bus that takes nothing for so long counts as down.
 pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
+
+/// Of a pause between two offers no more counts.
+const LONGEST_PAUSE: Duration = Duration::from_millis(10);
 
 /// How soon a bus that takes nothing, or has failed, is tried again.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
@@ -111,12 +114,12 @@ pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant>
 
 /// For how long a bus has taken nothing of what it was offered.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Refusals(Looks);
+pub(super) struct Refusals(Elapsed);
 
 impl Refusals {
-    /// The bus takes nothing. Gives whether it counts as down.
+    /// The bus takes nothing. Gives whether it counts as down: not for one pause in which nobody looked.
     pub(super) fn note(&mut self, now: Instant) -> bool {
-        self.0.at(now) >= STUCK_AFTER
+        self.0.with_pauses_up_to(LONGEST_PAUSE, now) >= STUCK_AFTER
     }
 
     /// It has taken something.
