@@ -241,11 +241,13 @@ fn what_was_guarded_to_its_end_is_stopped_once() {
     assert_eq!(stops(&bus), 1);
 }
 
+type BothBuses<'a> = Guards<'a, CanMaster<TestCan, TestClock, 4>, 2, 4>;
+
 /// Two buses at one clock, with motor 1 on each, of which the first carries nothing any more. Leaves them in this way;
 /// gives when motor 1 of the second was told to stop, after that, and how long it took in all.
 fn of_two_the_first_is_cut(
     cut: fn(&mut CanState),
-    leave: impl FnOnce(Guards<'_, CanMaster<TestCan, TestClock, 4>, 2, 4>),
+    leave: impl FnOnce(BothBuses<'_>),
 ) -> [Duration; 2] {
     let clock = TestClock::default();
     let cans = [TestCan::new(&clock), TestCan::new(&clock)];
@@ -268,7 +270,7 @@ fn of_two_the_first_is_cut(
 
 #[test]
 fn of_several_buses_none_waits_for_another() {
-    let ways: [fn(Guards<'_, CanMaster<TestCan, TestClock, 4>, 2, 4>); 3] = [
+    let ways: [fn(BothBuses<'_>); 3] = [
         |buses| assert_eq!(buses.finish(), [id(1).into(), MotorSet::EMPTY]),
         |buses| drop(buses),
         |mut buses| {
