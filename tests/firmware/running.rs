@@ -15,8 +15,9 @@ use myactuator_tests::emulator::log::Line;
 pub(crate) const DRIVES: u8 = 4;
 /// Longer than anything takes that has no time of its own.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
-/// How long it is watched that nothing starts by itself.
-pub(crate) const WATCHED: Duration = Duration::from_millis(600);
+/// How long it is watched that nothing starts by itself: for longer than the firmware, which was stopped by something else,
+/// takes no press of its button.
+pub(crate) const WATCHED: Duration = Duration::from_millis(1_200);
 /// At this speed, degrees a second, a movement is well under way: at its fastest it has 30.
 pub(crate) const UNDER_WAY_DPS: f32 = 15.0;
 

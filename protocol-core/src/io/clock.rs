@@ -2,7 +2,8 @@
 
 use crate::time::Instant;
 
-/// A clock for the loops of [`io`](crate::io): it never runs backwards.
+/// A clock for the loops of [`io`](crate::io): it never runs backwards, nor begins anew. A timer of 32 bits does so
+/// after little more than an hour, by microseconds: count its overflows, or loops wait for ever, and motors go on.
 ///
 /// On CAN its steps are to be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
 /// By a coarser one answers come sooner than any drive sends them and are strays, so that nobody seems to answer: set

@@ -159,7 +159,8 @@ pub trait Runner<const N: usize> {
     /// On RS485 it goes behind the exchange under way, which it waits for no longer than 50 ms. A motor that a stop has
     /// switched off stays off until that is lifted, also where this is to hold it.
     ///
-    /// Until [`Master::lift_stop`] whatever may move a motor is refused.
+    /// Until [`Master::lift_stop`] whatever may move a motor is refused. Whose watchdog does not wait for so long calls
+    /// [`Master::stop_all`] and goes on with its loop, to which events say who has confirmed.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         block_on(Polled(self).stop_all(kind, also))
