@@ -17,7 +17,7 @@ pub(crate) const DRIVES: u8 = 4;
 pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 /// How long it is watched that nothing starts by itself: for longer than the firmware, which was stopped by something else,
 /// takes no press of its button.
-pub(crate) const WATCHED: Duration = Duration::from_millis(1_200);
+pub(crate) const WATCHED: Duration = Duration::from_millis(1_500);
 /// At this speed, degrees a second, a movement is well under way: at its fastest it has 30.
 pub(crate) const UNDER_WAY_DPS: f32 = 15.0;
 

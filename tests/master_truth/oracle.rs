@@ -487,7 +487,8 @@ fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     let packet = Packet { channel: Channel::Reply(motor), data };
     let reports = &truth.pages[motor.index()].reports;
     // A broadcast is answered by motors that nobody expects to, too; and errors are told also where they come late.
-    let may_come = |it: &Sending| it.heard > 0 && (it.put == 0 || data[0] == 0x9A);
+    let has_errors = data[0] == 0x9A && data[6..] != [0, 0];
+    let may_come = |it: &Sending| it.heard > 0 && (it.put == 0 || has_errors);
     let is_unexpected =
         truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(may_come);
     let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)

@@ -37,6 +37,7 @@ use crate::open::BusError;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
+#[must_use = "the motors are stopped when it is dropped"]
 pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError> {
     bus: SharedBus<E>,
     kind: StopKind,
@@ -92,6 +93,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Drop for Guard<E> {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
+#[must_use = "the motors are stopped when it is dropped"]
 pub struct Guards<const M: usize, E: fmt::Debug + Send + Sync + 'static = BusError> {
     buses: [SharedBus<E>; M],
     kind: StopKind,

@@ -25,7 +25,8 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
-    let (taken_at, looked_at) = (runner.now(), runner.now());
+    let looked_at = runner.now();
+    let taken_at = looked_at;
     let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
     let (turn_ends, has_failed) = (None, false);
     let mut worker =
@@ -91,9 +92,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
         self.turn_ends = None;
         self.withdraw_what_was_given_up();
+        let taken_at = self.runner.now();
         let goes_on = desk.take(self);
-        self.taken_at = self.runner.now();
-        self.looked_at = self.taken_at;
+        self.taken_at = taken_at;
+        self.looked_at = self.runner.now();
         match self.runner.poll() {
             Ok(event) => {
                 if std::mem::take(&mut self.has_failed) {

@@ -86,8 +86,10 @@ pub struct App<const N: usize> {
     expected: MotorSet,
     rounds: Rounds,
     button: Button,
-    /// A press that begins before this starts nothing.
+    /// A press that begins before this does not start the motors.
     may_start_at: Instant,
+    /// Whether the press under way may.
+    may_start: bool,
     next_cycle: Instant,
 }
 
@@ -103,7 +105,12 @@ impl<const N: usize> App<N> {
             expected: setup.required,
             rounds: Rounds::new(at.now),
             button: Button::new(),
-            may_start_at: at.now,
+            // Who restarts by itself was running, perhaps, and stops.
+            may_start_at: match cause {
+                RestartCause::Power => at.now,
+                _ => at.now + STOPPED_BY_ITSELF,
+            },
+            may_start: false,
             next_cycle: at.now,
         };
         app.stop(setup.stop, at);
@@ -135,7 +142,7 @@ impl<const N: usize> App<N> {
                 self.trouble(Trouble::Errors { motor, flags: status.errors }, at);
             }
             Event::Restarted { motor } => {
-                // It gets no set-points from here on but after it was found again.
+                // Those that are moved are stopped by this; others get no set-points before they were found.
                 at.master.resume(motor);
                 if self.motor(motor).is_some() {
                     self.trouble(Trouble::Restarted { motor }, at);
@@ -172,10 +179,8 @@ impl<const N: usize> App<N> {
 
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
-            (State::Stopped { .. }, Press::Down) if at.now < self.may_start_at => {
-                self.button.use_up();
-            }
-            (State::Stopped { .. }, Press::Down) => {}
+            (State::Stopped { .. }, Press::Down) => self.may_start = at.now >= self.may_start_at,
+            (State::Stopped { .. }, Press::Short) if !self.may_start => {}
             (State::Stopped { .. }, Press::Short) => {
                 for motor in &self.motors {
                     at.master.forget(motor.id);
@@ -366,7 +371,7 @@ impl<const N: usize> App<N> {
             return;
         }
         at.board.log(&Report::Trouble(trouble));
-        if self.is_running() && trouble != Trouble::Button {
+        if trouble != Trouble::Button {
             self.may_start_at = at.now + STOPPED_BY_ITSELF;
         }
         // A motor with an error has cut its output and locked its brake: the others are shut down all the same.

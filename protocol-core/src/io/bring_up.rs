@@ -19,7 +19,7 @@ use crate::io::on_drop::OnDrop;
 use crate::io::polled::Polled;
 use crate::io::runner::Runner;
 pub use crate::io::standing::turns;
-use crate::master::MotorSet;
+use crate::master::{MotorSet, StopKind};
 use crate::time::Duration;
 use crate::units::{Angle, CoarseSpeed, EncoderPulses, Milliseconds};
 
@@ -329,7 +329,8 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
     // A panic leaves no future that the stop could go out with.
     let moving = OnDrop::new(runner, |runner: &mut &mut R| {
-        let _is_stopped = runner.stop(motor, limits.stop);
+        let is_held = runner.master().is_stopped(motor);
+        let _is_stopped = runner.stop(motor, if is_held { StopKind::Hold } else { limits.stop });
     });
     let result = block_on(task::move_to(&mut Polled(moving.it), motor, command, limits, on_look));
     moving.end();

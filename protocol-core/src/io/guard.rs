@@ -98,7 +98,8 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 }
 
 /// Several loops, of which all motors are stopped when they are left, as by a [`Guard`] of each, but at the same time: a bus
-/// that is cut holds up no other. It is used as the array of the loops.
+/// that is cut holds up no other. A driver that keeps its loop, such as a serial port that takes nothing, does: name it last,
+/// or give it a thread. It is used as the array of the loops; one that is swapped for another is guarded no more.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::Torque;
@@ -137,6 +138,10 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
 
     fn stop(&mut self) -> [MotorSet; M] {
         let kind = self.kind;
+        // In force everywhere before any driver is used, which may panic.
+        for bus in &mut self.buses {
+            let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
+        }
         let buses = self.buses.each_mut();
         block_on(join_array(buses.map(async |bus: &mut &mut R| {
             Polled(&mut **bus).stop_all(kind, MotorSet::EMPTY).await

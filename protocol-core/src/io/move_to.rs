@@ -7,6 +7,7 @@ use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
     ReadMultiTurnAngle, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
 };
+use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up::has_started_since;
@@ -85,7 +86,7 @@ impl MoveCommand for IncrementalPosition {
 /// When a move has arrived, and when it has failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub struct MoveLimits {
     /// So near to the target, and standing still, the motor has arrived.
     pub tolerance: Angle,
@@ -98,7 +99,8 @@ pub struct MoveLimits {
     pub when_stalled: WhenStalled,
     /// How the motor is stopped if it does not arrive, or the move is left halfway. [`StopKind::Hold`] holds where it is
     /// **with all its torque**, whatever limited that of the move: a gripper that has just met something would crush it
-    /// by as much as its way to rest takes. [`StopKind::Off`] lets go: a load falls that no brake holds.
+    /// by as much as its way to rest takes. [`StopKind::Off`] lets go, also where the move was refused before it was sent: a
+    /// load falls that no brake holds. Whom another stop holds already is not let go by it.
     pub stop: StopKind,
 }
 
@@ -238,7 +240,7 @@ pub struct NotArrived<E> {
     pub motor: MotorId,
     /// Why.
     pub why: MoveFailure<E>,
-    /// Whether it has confirmed the stop (0x81). If not, **cut its power**.
+    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**.
     pub is_stopped: bool,
 }
 
@@ -270,12 +272,20 @@ pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<B::Error>> {
-    let moving = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, limits.stop));
+    let kind_of_stop = |bus: &mut B| match bus.may_move(motor) {
+        Err(RequestError::Stopped) => StopKind::Hold,
+        _ => limits.stop,
+    };
+    let moving = OnDrop::new(bus, |bus: &mut &mut B| {
+        let kind = kind_of_stop(bus);
+        bus.begin_stop(motor, kind);
+    });
     let outcome = go(moving.it, motor, command, limits, on_look).await;
     let result = match outcome {
         Ok(arrival) => Ok(arrival),
         Err(why) => {
-            let is_stopped = moving.it.stop(motor, limits.stop).await;
+            let kind = kind_of_stop(moving.it);
+            let is_stopped = moving.it.stop(motor, kind).await;
             Err(NotArrived { motor, why, is_stopped })
         }
     };

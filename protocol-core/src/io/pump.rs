@@ -12,7 +12,7 @@ const LOOKS_IN_A_ROW: u8 = 64;
 pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
 
 /// Of a pause between two offers no more counts.
-const LONGEST_PAUSE: Duration = Duration::from_millis(10);
+const LONGEST_PAUSE_BETWEEN_OFFERS: Duration = Duration::from_millis(10);
 
 /// How soon a bus that takes nothing, or has failed, is tried again.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
@@ -119,7 +119,7 @@ pub(super) struct Refusals(Elapsed);
 impl Refusals {
     /// The bus takes nothing. Gives whether it counts as down: not for one pause in which nobody looked.
     pub(super) fn note(&mut self, now: Instant) -> bool {
-        self.0.with_pauses_up_to(LONGEST_PAUSE, now) >= STUCK_AFTER
+        self.0.with_pauses_up_to(LONGEST_PAUSE_BETWEEN_OFFERS, now) >= STUCK_AFTER
     }
 
     /// It has taken something.

@@ -13,7 +13,8 @@ use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
 /// How long a stop of all motors is tried at the most: so much of [`Elapsed`](crate::io::Elapsed), so that a program
-/// that is suspended meanwhile goes on with it.
+/// that is suspended meanwhile goes on with it, and one whose driver keeps the loop each time it is used sends four or five
+/// times.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for

@@ -197,7 +197,7 @@ pub enum Event {
         motor: MotorId,
     },
     /// A motor reports by itself: active reply (0xB6) or error reporting (function 3). So, too, is told that it has errors
-    /// where it answers a read of its status too late.
+    /// where it answers a read of its status too late, twice, or though nobody expects that of it.
     Report {
         /// The motor.
         motor: MotorId,

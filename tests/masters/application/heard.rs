@@ -163,6 +163,7 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
     bus.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Stopped), millis(1_000));
+    // Also within a second of a stop by something else.
     firmware.press(millis(1_100));
     firmware.run_for(millis(300));
     for drive in &bus.drives {

@@ -3,7 +3,7 @@
 use std::mem;
 
 use myactuator_host_std::sim::Fleet;
-use myactuator_mcu_example::{Moment, Report, StateName, Trouble, cycle};
+use myactuator_mcu_example::{App, Moment, Report, RestartCause, StateName, Trouble, cycle};
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Master};
@@ -17,6 +17,7 @@ on_both_buses! {
     a_press_in_any_state_stops_and_starts_nothing
     a_bus_error_in_any_state_stops
     a_press_right_behind_a_stop_by_something_else_starts_nothing
+    a_press_right_behind_a_restart_by_itself_starts_nothing
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     a_motor_that_restarted_before_it_was_looked_for_runs
     no_brake_opens_while_a_motor_has_an_error
@@ -82,16 +83,32 @@ fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
 
 /// Whoever presses meant to stop what has just been stopped.
 fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
+    for state in [StateName::Finding, StateName::Preparing, StateName::Running] {
+        let bus = B::drives(&Fleet::new(2)).unwrap();
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        in_state(&mut firmware, state);
+        let now = firmware.runner.now();
+        let at = &mut Moment { now, master: firmware.runner.master(), board: &mut firmware.panel };
+        firmware.app.handle_bus_error(at);
+        firmware.run_for(millis(300));
+        firmware.press(millis(100));
+        firmware.stays_stopped();
+        assert_eq!(firmware.troubles(), [Trouble::BusDown]);
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    }
+}
+
+/// It was running, perhaps, until its watchdog ended that.
+fn a_press_right_behind_a_restart_by_itself_starts_nothing<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
-    let mut firmware = Firmware::running(&bus);
-    firmware.run_for(millis(300));
+    let mut firmware = Firmware::start(&bus, Panel::default());
     let now = firmware.runner.now();
     let at = &mut Moment { now, master: firmware.runner.master(), board: &mut firmware.panel };
-    firmware.app.handle_bus_error(at);
-    firmware.run_for(millis(300));
-    firmware.press(millis(100));
+    firmware.app = App::start(B::setup(), RestartCause::Watchdog, at);
+    firmware.run_for(millis(400));
+    firmware.press(millis(50));
     firmware.stays_stopped();
-    assert_eq!(firmware.troubles(), [Trouble::BusDown]);
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }

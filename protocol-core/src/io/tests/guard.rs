@@ -1,5 +1,6 @@
 //! However a control loop is left, the motors are stopped.
 
+use core::cell::Cell;
 use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::vec::Vec;
@@ -15,12 +16,12 @@ use crate::id::Target;
 use crate::io::async_bring_up::move_to;
 use crate::io::bring_up::{self, MoveLimits};
 use crate::io::{
-    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Guards,
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock, Guard, Guards,
     LONGEST_STOP, Runner, SerialMaster, guarded,
 };
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::packet::{Channel, Packet};
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
 /// What motor 1 is told while it is stopped.
@@ -288,6 +289,57 @@ fn of_several_buses_none_waits_for_another() {
         let [heard, all] = of_two_the_first_is_cut(cut, leave);
         assert!(heard <= Duration::from_millis(6), "{heard}");
         assert!(all <= LONGEST_STOP + Duration::from_millis(20), "{all}");
+    }
+}
+
+/// A move that is refused to a motor which another stop holds does not let it go.
+#[test]
+fn a_move_lets_nobody_go_who_is_held() {
+    let limits = MoveLimits { stop: StopKind::Off, ..MoveLimits::default() };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
+    assert!(arm.stop(id(1), StopKind::Hold));
+    let moved = bring_up::move_to(&mut arm, id(1), step(), &limits, go_on);
+    assert!(moved.unwrap_err().is_stopped);
+    assert!(!bus.sent().contains(&Shutdown.encode()));
+}
+
+#[test]
+fn a_driver_that_panics_leaves_the_other_buses_stopped() {
+    let clock = TestClock::default();
+    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
+    let mut buses =
+        cans.map(|can| CanMaster::<TestCan, _, 4>::new(can, PanicsOnce::of(&clock), Config::CAN));
+    for bus in &mut buses {
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    let guards = Guards::new(buses.each_mut(), StopKind::Hold);
+    PANICS.set(true);
+    catch_unwind(AssertUnwindSafe(|| guards.finish())).unwrap_err();
+    assert_eq!(buses[1].set_point(id(1), torque()), Err(refused()));
+}
+
+std::thread_local! {
+    static PANICS: Cell<bool> = const { Cell::new(false) };
+}
+
+/// A clock that panics when it is asked to, once.
+struct PanicsOnce(TestClock);
+
+impl PanicsOnce {
+    fn of(clock: &TestClock) -> Self {
+        Self(clock.clone())
+    }
+}
+
+impl Clock for PanicsOnce {
+    fn now(&self) -> Instant {
+        assert!(!PANICS.replace(false), "a test that panics");
+        self.0.now()
+    }
+
+    fn idle(&self, until: Instant) {
+        self.0.idle(until);
     }
 }
 
