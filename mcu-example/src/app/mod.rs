@@ -282,7 +282,12 @@ impl<const N: usize> App<N> {
         for motor in &self.motors {
             if !motor.put_set_point(&self.setup, at.now - since, at.master, at.now) {
                 let motor = motor.id;
-                return self.trouble(Trouble::Refused { motor }, at);
+                // The event that says so may be yet to come.
+                let trouble = match at.master.has_restarted(motor) {
+                    true => Trouble::Restarted { motor },
+                    false => Trouble::Refused { motor },
+                };
+                return self.trouble(trouble, at);
             }
         }
         if is_second {
