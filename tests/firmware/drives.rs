@@ -74,7 +74,7 @@ fn one_with_an_error_stops_all_until_that_is_gone(program: Program) {
     firmware.press();
     stops_for(&mut firmware, "Errors { motor: motor 4,");
     firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(millis(300));
+    firmware.check_stays_stopped(WATCHED);
     firmware.check_still(struck, ERROR_STOPS);
 
     firmware.drive(4).with(|drive| drive.clear_fault(flags));
