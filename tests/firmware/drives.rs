@@ -7,7 +7,7 @@ use myactuator_protocol_core::command::{ErrorFlags, VersionDate};
 
 use myactuator_tests::emulator::truth::Look;
 
-use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stopped, stops_for};
+use super::running::{PATIENCE, Program, WATCHED, go, moving, on, stopped, stops_for};
 
 on! {
     every program:
