@@ -38,16 +38,12 @@ use crate::open::BusError;
 /// ```
 #[derive(Debug)]
 #[must_use = "the motors are stopped when it is dropped"]
-pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError> {
-    bus: SharedBus<E>,
-    kind: StopKind,
-    is_finished: bool,
-}
+pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError>(Guards<1, E>);
 
 impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
     /// Guards what is done by this handle.
     pub const fn new(bus: SharedBus<E>, kind: StopKind) -> Self {
-        Self { bus, kind, is_finished: false }
+        Self(Guards::new([bus], kind))
     }
 
     /// Stops all motors now, as [`SharedBus::stop_all`] does, and gives those that have not confirmed it: **cut
@@ -55,18 +51,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
     ///
     /// # Errors
     /// As there.
-    pub fn finish(mut self) -> Result<MotorSet, SharedBusError<E>> {
-        self.is_finished = true;
-        self.bus.stop_all(self.kind, MotorSet::EMPTY)
-    }
-}
-
-impl<E: fmt::Debug + Send + Sync + 'static> Drop for Guard<E> {
-    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
-    fn drop(&mut self) {
-        if !self.is_finished {
-            let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
-        }
+    pub fn finish(self) -> Result<MotorSet, SharedBusError<E>> {
+        let [unconfirmed] = self.0.finish();
+        unconfirmed
     }
 }
 
@@ -142,6 +129,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Deref for Guard<E> {
     type Target = SharedBus<E>;
 
     fn deref(&self) -> &SharedBus<E> {
-        &self.bus
+        let [bus] = &*self.0;
+        bus
     }
 }

@@ -12,7 +12,6 @@ use myactuator_protocol_core::{Kind, MotorId, time};
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
 use super::subscription::Subscriber;
-use crate::open::since_boot;
 
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,8 +101,8 @@ pub(super) trait Clerk<E> {
         found_at: time::Instant,
     ) -> Result<(), RequestError>;
 
-    /// Since when something may lie there that was laid down so long ago, by the clock of the machine.
-    fn found_at(&self, age: Duration) -> time::Instant;
+    /// Since when something lies there that was laid down then, by the time since the machine started.
+    fn found_at(&self, laid_at: Duration) -> time::Instant;
 
     /// Puts a question; gives it back if it has to wait.
     fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
@@ -232,8 +231,7 @@ impl<E> State<E> {
             let Some(LaidDown { command, laid_at, found_at }) = slot.set_point.take() else {
                 continue;
             };
-            let age = || since_boot().saturating_sub(laid_at);
-            let found_at = found_at.unwrap_or_else(|| clerk.found_at(age()));
+            let found_at = found_at.unwrap_or_else(|| clerk.found_at(laid_at));
             if ending.contains(motor) {
                 slot.set_point = Some(LaidDown { command, laid_at, found_at: Some(found_at) });
             } else if let Err(refusal) = clerk.set_point(motor, command, found_at) {

@@ -298,6 +298,23 @@ const SUSPEND_IDLE: u32 = 10;
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
 
+impl Fragile {
+    /// Holds the thread until it gets another order, and for 100 ms of its own time.
+    fn hold_for_100_ms(&mut self) {
+        self.1.store(BLOCKED, Ordering::SeqCst);
+        while self.1.load(Ordering::SeqCst) == BLOCKED {
+            thread::sleep(std::time::Duration::from_millis(1));
+        }
+        self.idle_until(self.0.now() + Duration::from_millis(100));
+    }
+
+    fn idle_until(&mut self, end: Instant) {
+        while self.0.now() < end {
+            self.0.idle(end);
+        }
+    }
+}
+
 impl Runner<8> for Fragile {
     type Error = CanError;
 
@@ -316,14 +333,7 @@ impl Runner<8> for Fragile {
         let at_work = order == BLOCK_AT_WORK && has_work;
         if order == BLOCK || at_work {
             // A write that takes 100 ms, in which somebody gives another order.
-            self.1.store(BLOCKED, Ordering::SeqCst);
-            while self.1.load(Ordering::SeqCst) == BLOCKED {
-                thread::sleep(std::time::Duration::from_millis(1));
-            }
-            let end = self.now() + Duration::from_millis(100);
-            while self.now() < end {
-                self.0.idle(end);
-            }
+            self.hold_for_100_ms();
             order = self.1.load(Ordering::SeqCst);
             if at_work && order == WORK {
                 return Ok(None);
@@ -331,10 +341,7 @@ impl Runner<8> for Fragile {
         }
         if order == SUSPEND_AT_WORK && has_work {
             self.1.store(WORK, Ordering::SeqCst);
-            let end = now + Duration::from_millis(1_500);
-            while self.now() < end {
-                self.0.idle(end);
-            }
+            self.idle_until(now + Duration::from_millis(1_500));
             return Ok(None);
         }
         let lasting = [FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK, PANIC, SUSPEND_IDLE, BLOCKED];
@@ -360,15 +367,7 @@ impl Runner<8> for Fragile {
 
     fn idle(&mut self, until: Instant) {
         if self.1.load(Ordering::SeqCst) == SUSPEND_IDLE {
-            self.1.store(BLOCKED, Ordering::SeqCst);
-            while self.1.load(Ordering::SeqCst) == BLOCKED {
-                thread::sleep(std::time::Duration::from_millis(1));
-            }
-            let end = self.now() + Duration::from_millis(100);
-            while self.now() < end {
-                self.0.idle(end);
-            }
-            return;
+            return self.hold_for_100_ms();
         }
         self.0.idle(until.min(self.now() + Duration::from_millis(1)));
     }

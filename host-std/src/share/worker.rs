@@ -15,6 +15,7 @@ use super::SharedBusError;
 use super::calls::{Answer, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
 use super::state::Clerk;
+use crate::open::since_boot;
 
 /// How long a thread idles that nothing can wake.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);
@@ -292,10 +293,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
-    fn found_at(&self, age: time::Duration) -> Instant {
+    fn found_at(&self, laid_at: time::Duration) -> Instant {
         // A driver may have been busy for long since then, and the program have been held in its waiting.
         let now = self.runner.now();
-        let laid_at = Instant::ZERO + ((now - Instant::ZERO) - Duration::from(age));
+        let age = Duration::from(since_boot().saturating_sub(laid_at));
+        let laid_at = Instant::ZERO + ((now - Instant::ZERO) - age);
         self.looked_at.min(laid_at).max(self.taken_at)
     }
 

@@ -327,10 +327,9 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
-    // A panic leaves no future that the stop could go out with.
+    // A panic leaves no future that the stop could go out with, which that one has put: whom it lets go stays so.
     let moving = OnDrop::new(runner, |runner: &mut &mut R| {
-        let is_held = runner.master().is_stopped(motor);
-        let _is_stopped = runner.stop(motor, if is_held { StopKind::Hold } else { limits.stop });
+        let _is_stopped = runner.stop(motor, StopKind::Hold);
     });
     let result = block_on(task::move_to(&mut Polled(moving.it), motor, command, limits, on_look));
     moving.end();

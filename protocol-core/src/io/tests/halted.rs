@@ -3,7 +3,7 @@
 use core::cell::Cell;
 
 use super::id;
-use super::world::{TestCan, TestClock, TestSerial, block_on};
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on};
 use crate::io::{AsyncCanMaster, AsyncClock, AsyncRunner, CanMaster, Clock, Runner, SerialMaster};
 use crate::master::{Config, MotorSet, StopKind};
 use crate::time::Instant;
@@ -69,47 +69,30 @@ fn whenever_the_program_is_halted_within_a_stop_of_all_it_reaches_each_motor() {
 /// Takes every byte, and keeps it: each wait for the last one takes a second, and ends in vain.
 struct Stuck(TestClock);
 
-#[derive(Debug, PartialEq, Eq)]
-struct Stalled;
-
-impl core::fmt::Display for Stalled {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("stalled")
-    }
-}
-
-impl core::error::Error for Stalled {}
-
-impl embedded_io::Error for Stalled {
-    fn kind(&self) -> embedded_io::ErrorKind {
-        embedded_io::ErrorKind::TimedOut
-    }
-}
-
 impl embedded_io::ErrorType for Stuck {
-    type Error = Stalled;
+    type Error = Broken;
 }
 
 impl embedded_io::Read for Stuck {
-    fn read(&mut self, _: &mut [u8]) -> Result<usize, Stalled> {
-        Err(Stalled)
+    fn read(&mut self, _: &mut [u8]) -> Result<usize, Broken> {
+        Err(Broken)
     }
 }
 
 impl embedded_io::ReadReady for Stuck {
-    fn read_ready(&mut self) -> Result<bool, Stalled> {
+    fn read_ready(&mut self) -> Result<bool, Broken> {
         Ok(false)
     }
 }
 
 impl embedded_io::Write for Stuck {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Stalled> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Broken> {
         Ok(bytes.len())
     }
 
-    fn flush(&mut self) -> Result<(), Stalled> {
+    fn flush(&mut self) -> Result<(), Broken> {
         self.0.advance(1_000_000);
-        Err(Stalled)
+        Err(Broken)
     }
 }
 
