@@ -344,9 +344,9 @@ impl Runner<8> for Fragile {
             self.idle_until(now + Duration::from_millis(1_500));
             return Ok(None);
         }
-        let lasting = [FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK, PANIC, SUSPEND_IDLE, BLOCKED];
-        if !lasting.contains(&order) {
-            self.1.store(WORK, Ordering::SeqCst);
+        if [FAIL_ONCE, PANIC_ONCE].contains(&order) {
+            // Unless there is another order already.
+            let _ = self.1.compare_exchange(order, WORK, Ordering::SeqCst, Ordering::SeqCst);
         }
         match order {
             WORK | BLOCK_AT_WORK | SUSPEND_AT_WORK | SUSPEND_IDLE => self.0.poll(),
