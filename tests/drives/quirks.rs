@@ -58,6 +58,51 @@ fn slow_brake() {
     assert!(opened.iter().max().unwrap() - opened.iter().min().unwrap() > 50, "{opened:?}");
 }
 
+/// The brake locks 50 to 150 ms after 0x78. Until then what was on holds on, unless 0x80 switches it off.
+#[test]
+fn a_slow_brake_locks_late() {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    let at_work = |seed| {
+        let parameters = Parameters { has_brake: true, quirks, seed, ..Parameters::default() };
+        let mut bench = Bench::new(parameters);
+        bench.write(ReleaseBrake);
+        bench.go(push(1.0), millis(200));
+        assert!(bench.state().output_on);
+        bench
+    };
+    let mut locked = Vec::new();
+    for seed in 0..20 {
+        let mut bench = at_work(seed);
+        bench.write(LockBrake);
+        let mut waited = 5; // for its reply
+        while bench.state().output_on {
+            bench.run(millis(1));
+            waited += 1;
+        }
+        locked.push(waited);
+        let angle = bench.angle();
+        bench.run(millis(100));
+        assert_eq!(bench.angle(), angle, "it holds");
+    }
+    assert!(locked.iter().all(|millis| (50..=151).contains(millis)), "{locked:?}");
+    assert!(locked.iter().max().unwrap() - locked.iter().min().unwrap() > 50, "{locked:?}");
+
+    let mut bench = at_work(0);
+    bench.write(LockBrake);
+    bench.write(Shutdown);
+    assert!(!bench.state().output_on);
+    let angle = bench.angle();
+    bench.run(millis(30));
+    assert_ne!(bench.angle(), angle, "nothing holds it yet");
+
+    // One that was off stays off.
+    let mut bench = Bench::new(Parameters { has_brake: true, quirks, ..Parameters::default() });
+    bench.write(ReleaseBrake);
+    bench.run(millis(200));
+    bench.write(LockBrake);
+    assert!(!bench.state().output_on);
+}
+
 /// Function 5 changes the id, but is not answered.
 #[test]
 fn silent_id_change() {

@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use myactuator_protocol_core::command::{BrakeCommand, Stop};
+use myactuator_protocol_core::command::{BrakeCommand, LockBrake, Shutdown, Stop};
+use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::time::Instant;
-use myactuator_protocol_core::{Channel, MotorId, Target};
+use myactuator_protocol_core::{Channel, Data, MotorId, Target};
 use myactuator_tests::emulator::board::Wire;
 use myactuator_tests::emulator::drives::Heard;
 use myactuator_tests::fleet::state;
@@ -135,9 +136,17 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
     firmware.check_stays_stopped(WATCHED);
     firmware.check_still(pressed, BUTTON_STOPS);
 
+    let held = firmware.drives().now();
     firmware.hold();
     firmware.wait_for("State(ShuttingDown)", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
+    // Brakes have time to lock while the motors hold.
+    let heard = firmware.drives().heard_since(held);
+    let is = |command: Data| move |heard: &&Heard| heard.packet.data == command;
+    let locked = heard.iter().rfind(is(LockBrake.encode())).map(|heard| heard.at);
+    let off = heard.iter().find(is(Shutdown.encode())).map(|heard| heard.at);
+    let (Some(locked), Some(off)) = (locked, off) else { panic!("{heard:?}") };
+    assert!(off >= locked + Quirks::SLOW_BRAKE_MAX, "{locked:?} {off:?}");
     for drive in firmware.drives().handles() {
         let state = state(drive);
         assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "{state:?}");

@@ -65,7 +65,7 @@ The first six have the values shown unless told otherwise; so has babble.
 
 Quirks: what drives were seen to do beside the manual
   slow-boot                 deaf for 1.1 s after a restart
-  slow-brake                the brake opens 50 to 150 ms late
+  slow-brake                the brake opens, and locks, 50 to 150 ms late
   lost-master-heartbeat     0xF1 once a second after a loss of communication, and the
                             first command then is echoed and ignored
   silent-id-change          function 5 has its effect but no reply

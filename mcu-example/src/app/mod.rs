@@ -252,7 +252,10 @@ impl<const N: usize> App<N> {
                 at.master.lift_stop();
                 self.enter(State::Preparing(Script::prepare(self.found(), at.now)), at);
             }
-            State::ShuttingDown(_) => self.stop(StopKind::Off, at),
+            State::ShuttingDown(script) => match script.next_of_shutting_down(at.now) {
+                Some(next) => self.state = State::ShuttingDown(next),
+                None => self.stop(StopKind::Off, at),
+            },
             State::Preparing(script) => {
                 match script.next_of_preparing(&self.setup, self.found(), at.now) {
                     Some(next) => self.state = State::Preparing(next),

@@ -120,8 +120,11 @@ const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
 const RELEASE: &[Question] = &[Question::ReleaseBrake, Question::Hold];
 const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
-/// How long a brake takes to open at the most: 50 to 150 ms were seen.
-const BRAKE_OPENS: Duration = Duration::from_millis(200);
+const LOCK: &[Question] = &[Question::LockBrake];
+const WAIT: &[Question] = &[];
+
+/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen.
+const BRAKE_MOVES: Duration = Duration::from_millis(200);
 
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,14 +171,22 @@ impl Script {
         match self.questions {
             PROTECT if setup.error_reports => Some(Self::new(REPORT_ERRORS, motors, now)),
             PROTECT | REPORT_ERRORS => Some(Self::new(RELEASE, motors, now)),
-            RELEASE => Some(Self::new(LOOK, motors, now + BRAKE_OPENS)),
+            RELEASE => Some(Self::new(LOOK, motors, now + BRAKE_MOVES)),
             _ => None,
         }
     }
 
     /// Lock the brakes, before the outputs are switched off: without power the shafts are free.
     pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
-        Self::new(&[Question::LockBrake], motors, now)
+        Self::new(LOCK, motors, now)
+    }
+
+    /// What comes next in shutting down: until the brakes hold, the outputs may have to.
+    pub(super) fn next_of_shutting_down(&self, now: Instant) -> Option<Self> {
+        match self.questions {
+            LOCK => Some(Self::new(WAIT, MotorSet::EMPTY, now + BRAKE_MOVES)),
+            _ => None,
+        }
     }
 
     const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {

@@ -226,21 +226,26 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.protection.is_tripped() {
                     self.not_run(opcode, NotRunReason::CommunicationLost);
                 } else {
-                    let at = self.brake_opens_at(now);
-                    self.brake.release(at);
+                    let at = self.brake_moves_at(now);
+                    self.brake.release(at, now);
                 }
                 echo
             }
             Opcode::LockBrake => {
-                self.brake.lock();
-                if self.brake.holds() {
+                let at = self.brake_moves_at(now);
+                self.brake.lock(at, now);
+                if !self.brake.is_open(now) {
                     self.controller.shut_down();
+                } else if self.brake.holds() && !self.controller.is_off() {
+                    let input = self.input();
+                    self.controller.set(SetPoint::Stop, &input);
                 }
                 echo
             }
             Opcode::Shutdown => {
                 self.controller.shut_down();
-                self.brake.lock_unless_requested();
+                let at = self.brake_moves_at(now);
+                self.brake.lock_unless_requested(at, now);
                 echo
             }
             Opcode::Stop => {

@@ -6,10 +6,11 @@ use crate::time::Instant;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
-    Locked,
+    Locked { at: Instant },
     Released { at: Instant, by_request: bool },
 }
 
+/// It moves some time after its command: each says when that is, if it begins now.
 #[derive(Clone, Debug)]
 pub(super) struct Brake {
     fitted: bool,
@@ -18,49 +19,65 @@ pub(super) struct Brake {
 
 impl Brake {
     pub(super) const fn new(fitted: bool) -> Self {
-        Self { fitted, state: State::Locked }
+        Self { fitted, state: State::Locked { at: Instant::ZERO } }
     }
 
     /// 0x77.
-    pub(super) fn release(&mut self, at: Instant) {
-        let since = if let State::Released { at, .. } = self.state { at } else { at };
-        self.state = State::Released { at: since, by_request: true };
+    pub(super) fn release(&mut self, at: Instant, now: Instant) {
+        self.state = State::Released { at: self.lets_go_at(at, now), by_request: true };
     }
 
     /// For a command that needs the shaft free.
-    pub(super) fn release_for_motion(&mut self, at: Instant) {
-        if self.state == State::Locked {
-            self.state = State::Released { at, by_request: false };
+    pub(super) fn release_for_motion(&mut self, at: Instant, now: Instant) {
+        if matches!(self.state, State::Locked { .. }) {
+            self.state = State::Released { at: self.lets_go_at(at, now), by_request: false };
         }
     }
 
-    pub(super) fn lock(&mut self) {
-        self.state = State::Locked;
+    fn lets_go_at(&self, at: Instant, now: Instant) -> Instant {
+        match self.state {
+            State::Released { at, .. } => at,
+            State::Locked { at: closes } if now < closes => now,
+            State::Locked { .. } => at,
+        }
+    }
+
+    pub(super) fn lock(&mut self, at: Instant, now: Instant) {
+        let at = match self.state {
+            State::Locked { at } => at,
+            State::Released { at: opens, .. } if now < opens => now,
+            State::Released { .. } => at,
+        };
+        self.state = State::Locked { at };
     }
 
     /// For 0x80.
-    pub(super) fn lock_unless_requested(&mut self) {
+    pub(super) fn lock_unless_requested(&mut self, at: Instant, now: Instant) {
         if !matches!(self.state, State::Released { by_request: true, .. }) {
-            self.lock();
+            self.lock(at, now);
         }
     }
 
     /// The last command (0x9A). What is not there locks nothing.
     pub(super) const fn command(&self) -> BrakeCommand {
         match self.state {
-            State::Locked if self.fitted => BrakeCommand::LOCK,
-            State::Locked | State::Released { .. } => BrakeCommand::RELEASE,
+            State::Locked { .. } if self.fitted => BrakeCommand::LOCK,
+            State::Locked { .. } | State::Released { .. } => BrakeCommand::RELEASE,
         }
     }
 
     /// Whether the motor may not run because of it.
     pub(super) fn holds(&self) -> bool {
-        self.fitted && self.state == State::Locked
+        self.fitted && matches!(self.state, State::Locked { .. })
     }
 
     /// Whether the plant's brake is to be open at `now`. A motor without a brake turns freely.
     pub(super) fn is_open(&self, now: Instant) -> bool {
-        !self.fitted || matches!(self.state, State::Released { at, .. } if at <= now)
+        !self.fitted
+            || match self.state {
+                State::Locked { at } => now < at,
+                State::Released { at, .. } => at <= now,
+            }
     }
 }
 
@@ -76,8 +93,8 @@ impl<P, M> Drive<P, M> {
         }
     }
 
-    /// When the brake begins to let the shaft go if it gets its command to open now.
-    pub(super) fn brake_opens_at(&mut self, now: Instant) -> Instant {
+    /// When the brake lets the shaft go, or holds it, if it gets the command to that now.
+    pub(super) fn brake_moves_at(&mut self, now: Instant) -> Instant {
         if self.parameters.quirks.slow_brake {
             now + self.random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)
         } else {
@@ -93,22 +110,38 @@ mod tests {
     const LATER: Instant = Instant::from_millis(100);
 
     #[test]
-    fn a_second_release_does_not_delay_the_first() {
+    fn a_second_command_does_not_delay_the_first() {
         let mut brake = Brake::new(true);
-        brake.release(Instant::from_millis(50));
-        brake.release(LATER);
+        brake.release(Instant::from_millis(50), Instant::ZERO);
+        brake.release(LATER, Instant::ZERO);
         assert!(brake.is_open(Instant::from_millis(50)));
+        brake.lock(Instant::from_millis(150), LATER);
+        brake.lock(Instant::from_millis(200), Instant::from_millis(149));
+        assert!(brake.is_open(Instant::from_millis(149)) && brake.holds());
+        assert!(!brake.is_open(Instant::from_millis(150)));
+    }
+
+    #[test]
+    fn what_has_not_moved_yet_stays_as_it_is() {
+        let mut brake = Brake::new(true);
+        brake.release(LATER, Instant::ZERO);
+        brake.lock(Instant::from_millis(150), Instant::from_millis(50));
+        assert!(!brake.is_open(LATER));
+        brake.release(LATER, Instant::from_millis(50));
+        brake.lock(Instant::from_millis(300), Instant::from_millis(200));
+        brake.release_for_motion(Instant::from_millis(400), Instant::from_millis(250));
+        assert!(brake.is_open(Instant::from_millis(300)));
     }
 
     #[test]
     fn shutdown_locks_only_what_was_not_asked_for() {
         let mut brake = Brake::new(true);
-        brake.release_for_motion(Instant::ZERO);
-        brake.lock_unless_requested();
+        brake.release_for_motion(Instant::ZERO, Instant::ZERO);
+        brake.lock_unless_requested(Instant::ZERO, Instant::ZERO);
         assert!(brake.holds());
-        brake.release(Instant::ZERO);
-        brake.release_for_motion(Instant::ZERO);
-        brake.lock_unless_requested();
+        brake.release(Instant::ZERO, Instant::ZERO);
+        brake.release_for_motion(Instant::ZERO, Instant::ZERO);
+        brake.lock_unless_requested(Instant::ZERO, Instant::ZERO);
         assert!(!brake.holds());
     }
 }

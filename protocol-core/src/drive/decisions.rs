@@ -133,7 +133,7 @@
 //!   must not (2.19.1), and with it motion mode, which is a torque command in all but name: behind
 //!   a locked brake they are answered and do nothing.
 //! - The reply to 0x77 does not wait until the brake is open.
-//! - 0x78 ends what runs and switches the output off: "the motor cannot run then" (2.28.1).
+//! - 0x78 ends what runs and switches the output off, once the brake holds: "the motor cannot run then" (2.28.1).
 //! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that
 //!   0x77 opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
 //!   communication lock either.

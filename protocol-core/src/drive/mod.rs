@@ -408,6 +408,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         let mut actuation = Actuation::default();
         if matches!(self.life, Life::Running { .. }) {
             actuation.brake_released = self.brake.is_open(self.clock);
+            if !actuation.brake_released && self.brake.holds() {
+                self.controller.shut_down();
+            }
             let (gains, accelerations) = (&self.active.gains, &self.active.accelerations);
             let dt = period.as_secs_f32();
             if let Some(current_a) = self.controller.step(&input, gains, accelerations, dt) {
@@ -481,7 +484,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// Output off, no mode, brake locked.
     fn cut_output(&mut self) {
         self.controller.shut_down();
-        self.brake.lock();
+        let at = self.brake_moves_at(self.clock);
+        self.brake.lock(at, self.clock);
     }
 
     fn follow_reports(&mut self, now: Instant) {

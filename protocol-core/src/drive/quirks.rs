@@ -13,8 +13,9 @@ use crate::time::Duration;
 pub struct Quirks {
     /// After 0x76 and at power-on the drive hears nothing for [`SLOW_BOOT`](Self::SLOW_BOOT).
     pub slow_boot: bool,
-    /// The brake opens [`SLOW_BRAKE_MIN`](Self::SLOW_BRAKE_MIN) to
-    /// [`SLOW_BRAKE_MAX`](Self::SLOW_BRAKE_MAX) after the command to. The drive does not wait for it.
+    /// The brake opens or locks [`SLOW_BRAKE_MIN`](Self::SLOW_BRAKE_MIN) to
+    /// [`SLOW_BRAKE_MAX`](Self::SLOW_BRAKE_MAX) after the command to. The drive does not wait for it to open. Behind 0x78
+    /// it goes on holding until the brake does; 0x80 and errors switch the output off at once.
     pub slow_brake: bool,
     /// After a communication loss the drive sends a frame 0xF1 once a second; it answers the first
     /// command then with the same bytes and ignores it, and obeys the second if that comes in time.

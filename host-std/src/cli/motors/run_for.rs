@@ -106,8 +106,13 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     // Not on a shaft that turns still.
     session.come_to_rest(motor)?;
     session.moving(motor, |session| session.ask(motor, LockBrake))?;
-    session.stop(StopKind::Off, motor.into())?;
-    if let Err(why) = session.brake_holds(motor) {
+    let mut holds = session.brake_holds(motor);
+    if holds.is_ok() {
+        session.stop(StopKind::Off, motor.into())?;
+        // Only now does it hold alone.
+        holds = session.brake_holds(motor);
+    }
+    if let Err(why) = holds {
         // The motor held its load, so it is to hold that again: no drive does behind a locked brake.
         session.master.off = session.master.off.without(motor.into());
         session.master.master().lift_stop_of(motor);
@@ -281,6 +286,24 @@ mod tests {
         let sent: Vec<u8> = commands(&log).into_iter().filter(|byte| *byte < 0x90).collect();
         assert_eq!(sent, [0x81, 0x78, 0x80]);
         session.standing(MotorId::MIN).unwrap();
+    }
+
+    /// It falls where the output goes off before the brake has locked.
+    #[test]
+    fn a_load_stays_where_it_is_while_a_slow_brake_locks() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).brakes(true).quirks(quirks).load(load).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.ask(MotorId::MIN, Stop).unwrap();
+        assert!(session.release_brake(MotorId::MIN).unwrap());
+        let angle_deg = || fleet.drives[0].with(|drive| drive.state().angle_deg);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        let held_deg = angle_deg();
+        put_down(&mut session, MotorId::MIN).unwrap();
+        let sunk_deg = (angle_deg() - held_deg).abs();
+        assert!(sunk_deg < 0.1, "{sunk_deg}");
+        assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
     #[test]

@@ -94,8 +94,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             return false;
         }
         if locked_brake == LockedBrake::Opens && self.brake.holds() {
-            let at = self.brake_opens_at(self.clock);
-            self.brake.release_for_motion(at);
+            let at = self.brake_moves_at(self.clock);
+            self.brake.release_for_motion(at, self.clock);
         }
         let input = self.input();
         self.controller.set(set_point, &input);
