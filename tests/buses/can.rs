@@ -480,7 +480,9 @@ fn what_is_too_slow_for_real_time_goes_on_slowly() {
     let begun = std::time::Instant::now();
     world.every(Duration::from_micros(1), move |_| {
         std::thread::sleep(std::time::Duration::from_micros(20));
-        assert!(begun.elapsed().as_secs() < 5, "it is held up");
+        // Each call makes up for half a second at the most; without that limit it would take twenty times as long as
+        // the one before, and the last for minutes.
+        assert!(begun.elapsed().as_secs() < 60, "it is held up");
     });
     let times = [(); 6].map(|()| world.now());
     assert!(times.is_sorted() && times[0] < times[5], "{times:?}");

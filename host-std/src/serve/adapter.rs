@@ -411,7 +411,8 @@ mod tests {
         let begun = std::time::Instant::now();
         world.every(Duration::from_micros(100), move |_| {
             std::thread::sleep(std::time::Duration::from_micros(200));
-            assert!(begun.elapsed().as_secs() < 2, "it is held up");
+            // For ever, that is: a machine that does other things is late, too.
+            assert!(begun.elapsed().as_secs() < 60, "it is held up");
         });
         let _world = world.in_real_time();
         std::thread::sleep(std::time::Duration::from_millis(3));

@@ -11,6 +11,9 @@ use crate::sim::Fleet;
 use crate::sim::mechanics::{Failure, Mechanics, Shaft};
 use crate::sim::plant::Supply;
 
+/// Longer than anything takes on a busy machine that ends at all.
+const LONG: std::time::Duration = std::time::Duration::from_secs(60);
+
 /// A server in a thread, which ends with this.
 struct Served {
     stop: Option<UnixStream>,
@@ -303,12 +306,14 @@ fn a_second_of_four_motors_takes_far_less_in_lock_step() {
         server.in_lock_step();
     });
     let mut client = served.client();
-    let start = std::time::Instant::now();
-    for _ in 0..100 {
+    let steps = (0..100).map(|_| {
+        let start = std::time::Instant::now();
         client.ask(r#"{"advance":{"us":10000}}"#);
-    }
-    let took = start.elapsed();
-    assert!(took.as_secs_f64() < 0.7, "{took:?}");
+        start.elapsed()
+    });
+    // A machine that does other things meanwhile is late with many of the steps, and with some it is not.
+    let quickest = steps.min().unwrap();
+    assert!(quickest * 100 < std::time::Duration::from_millis(700), "{quickest:?}");
     assert_eq!(client.ask(r#"{"time":{}}"#)["ok"]["at_us"], 1_000_000);
 }
 
@@ -321,8 +326,8 @@ fn time_stands_until_a_program_says_how_far_it_may_go() {
     for wrong in [r#"{"advance":{}}"#, r#"{"advance":{"us":1,"until_us":1}}"#] {
         assert_eq!(one.ask(wrong)["error"], "expected either us or until_us");
     }
-    // A long way; who asks meanwhile is answered, and may not go its own.
-    one.send(r#"{"advance":{"us":20000000}}"#);
+    // A way that does not end before somebody leaves; who asks meanwhile is answered, and may not go its own.
+    one.send(&format!(r#"{{"advance":{{"us":{}}}}}"#, u64::MAX));
     let refused = loop {
         let answer = other.ask(r#"{"advance":{"us":0}}"#);
         if answer["error"].is_string() {
@@ -330,9 +335,12 @@ fn time_stands_until_a_program_says_how_far_it_may_go() {
         }
     };
     assert!(refused["error"].as_str().unwrap().starts_with("another program lets time go on"));
-    let now = other.ask(r#"{"time":{}}"#)["ok"]["at_us"].as_u64().unwrap();
-    assert!(now < 20_000_000, "{now}");
-    assert_eq!(one.next()["ok"]["at_us"], 20_000_000);
+    assert!(other.ask(r#"{"time":{}}"#)["ok"]["at_us"].is_u64());
+    drop(one);
+    while other.ask(r#"{"advance":{"us":0}}"#)["error"].is_string() {}
+    let start = other.ask(r#"{"time":{}}"#)["ok"]["at_us"].as_u64().unwrap();
+    assert_eq!(other.ask(r#"{"advance":{"us":20000000}}"#)["ok"]["at_us"], start + 20_000_000);
+    assert_eq!(other.ask(r#"{"time":{}}"#)["ok"]["at_us"], start + 20_000_000);
 }
 
 #[test]
@@ -452,7 +460,7 @@ fn in_lock_step_nothing_is_lost_or_too_early() {
     let lines = |got: &[u8]| got.iter().filter(|&&byte| byte == b'\r').count() as u64;
     let begun = std::time::Instant::now();
     // The adapter's answers to O and to the question, and what it has heard: all but the question.
-    while lines(&got) < sent + 1 && begun.elapsed().as_secs() < 2 {
+    while lines(&got) < sent + 1 && begun.elapsed() < LONG {
         let _ = slcan.read_to_end(&mut got);
         frames(r#"{"time":{}}"#);
     }
@@ -472,7 +480,7 @@ fn time_stands_where_the_program_has_left_that_let_it_go_on() {
     drop(one);
     let left = std::time::Instant::now();
     while goes_on(&mut other) {
-        assert!(left.elapsed().as_secs() < 2, "it goes on");
+        assert!(left.elapsed() < LONG, "it goes on");
     }
 }
 
