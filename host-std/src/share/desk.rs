@@ -18,8 +18,6 @@ use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::{Wake, since_boot};
 
-/// What is laid down the thread takes up sooner, also where it idles: else its driver holds it. Tests wait for less.
-const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 1_000 } else { 2_000 });
 /// How often it is looked at meanwhile: a program that is frozen and goes on finds that time is up, and has looked
 /// once.
 const LOOKS: u32 = 20;
@@ -41,7 +39,7 @@ impl<E> Desk<E> {
         self.wake.is_some()
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<E>> {
+    pub(super) fn lock(&self) -> MutexGuard<'_, State<E>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -87,7 +85,7 @@ impl<E> Desk<E> {
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         state.admit(motor, command.kind, None)?;
-        if state.news_since.is_some_and(|since| since.elapsed() > LONGEST_ROUND) {
+        if state.news_since.is_some_and(|since| since.elapsed() > state.longest_round) {
             return Err(SharedBusError::Held);
         }
         let slot = state.slot(motor);
@@ -270,7 +268,8 @@ impl<E> Desk<E> {
     /// Waits again and again, unless the thread does not come round meanwhile: then its driver holds it, and there is
     /// nothing to wait for.
     fn unless_held<T>(&self, mut wait: impl FnMut(Duration) -> Option<T>) -> Option<T> {
-        let mut look = || wait(LONGEST_ROUND / LOOKS);
+        let longest_look = self.lock().longest_round / LOOKS;
+        let mut look = || wait(longest_look);
         // What comes soon costs nobody another round.
         let mut outcome = look();
         while outcome.is_none() {

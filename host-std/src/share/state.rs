@@ -13,6 +13,8 @@ use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
 use super::subscription::Subscriber;
 
+const LONGEST_ROUND: Duration = Duration::from_secs(2);
+
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
@@ -83,6 +85,8 @@ pub(super) struct State<E> {
     pub(super) subscribers: Vec<Subscriber>,
     /// How often the thread took up what there is.
     pub(super) rounds: u64,
+    /// What is laid down the thread takes up sooner, also where it idles: else its driver holds it.
+    pub(super) longest_round: Duration,
     /// Since when something lies there that the thread has not taken up.
     pub(super) news_since: Option<Instant>,
     /// The thread idles, and has to be woken for what is new.
@@ -124,6 +128,7 @@ impl<E> State<E> {
             error: None,
             subscribers: Vec::new(),
             rounds: 0,
+            longest_round: LONGEST_ROUND,
             news_since: None,
             is_idle: false,
         }

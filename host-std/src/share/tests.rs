@@ -6,7 +6,7 @@ use std::fmt::{Debug, Display};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, sync_channel};
 use std::sync::{Arc, Barrier};
-use std::thread;
+use std::{thread, time};
 
 use myactuator_protocol_core::command::{
     AbsolutePosition, Command, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, ReleaseBrake,
@@ -44,7 +44,18 @@ pub(super) fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
     let fleet = Fleet::new(motors).on_can(1_000_000).unwrap();
     let world = fleet.world.clone().in_real_time();
     let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
+    held_after(&bus, NOT_HELD);
     (fleet, bus)
+}
+
+/// Longer than a busy machine keeps a thread from its work.
+const NOT_HELD: time::Duration = time::Duration::from_secs(60);
+/// Whoever is held for so long on purpose is noticed.
+const HELD: time::Duration = time::Duration::from_secs(1);
+
+/// How long the thread of a bus has to be away until its driver counts as one that holds it.
+fn held_after(bus: &SharedBus<CanError>, longest_round: time::Duration) {
+    bus.desk().lock().longest_round = longest_round;
 }
 
 /// Turns each shaft by ten degrees times its motor's id.
@@ -294,14 +305,17 @@ const SUSPEND_AT_WORK: u32 = 8;
 pub(super) const PANIC: u32 = 9;
 /// Is suspended for 100 ms while it idles, once it gets another order.
 const SUSPEND_IDLE: u32 = 10;
+/// Fails until something waits to be sent, and once more then.
+const FAIL_AT_WORK: u32 = 11;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
 
 impl Fragile {
-    /// Holds the thread until it gets another order, and for 100 ms of its own time.
-    fn hold_for_100_ms(&mut self) {
-        self.1.store(BLOCKED, Ordering::SeqCst);
+    /// Holds the thread until it gets another order than this, and for 100 ms of its own time.
+    fn hold_for_100_ms(&mut self, order: u32) {
+        // Unless there is another order already.
+        let _ = self.1.compare_exchange(order, BLOCKED, Ordering::SeqCst, Ordering::SeqCst);
         while self.1.load(Ordering::SeqCst) == BLOCKED {
             thread::sleep(std::time::Duration::from_millis(1));
         }
@@ -333,18 +347,18 @@ impl Runner<8> for Fragile {
         let at_work = order == BLOCK_AT_WORK && has_work;
         if order == BLOCK || at_work {
             // A write that takes 100 ms, in which somebody gives another order.
-            self.hold_for_100_ms();
+            self.hold_for_100_ms(order);
             order = self.1.load(Ordering::SeqCst);
             if at_work && order == WORK {
                 return Ok(None);
             }
         }
         if order == SUSPEND_AT_WORK && has_work {
-            self.1.store(WORK, Ordering::SeqCst);
+            let _ = self.1.compare_exchange(order, WORK, Ordering::SeqCst, Ordering::SeqCst);
             self.idle_until(now + Duration::from_millis(1_500));
             return Ok(None);
         }
-        if [FAIL_ONCE, PANIC_ONCE].contains(&order) {
+        if [FAIL_ONCE, PANIC_ONCE].contains(&order) || order == FAIL_AT_WORK && has_work {
             // Unless there is another order already.
             let _ = self.1.compare_exchange(order, WORK, Ordering::SeqCst, Ordering::SeqCst);
         }
@@ -367,7 +381,7 @@ impl Runner<8> for Fragile {
 
     fn idle(&mut self, until: Instant) {
         if self.1.load(Ordering::SeqCst) == SUSPEND_IDLE {
-            return self.hold_for_100_ms();
+            return self.hold_for_100_ms(SUSPEND_IDLE);
         }
         self.0.idle(until.min(self.now() + Duration::from_millis(1)));
     }
@@ -378,6 +392,7 @@ pub(super) fn fragile() -> (CanFleet, Arc<AtomicU32>, SharedBus<CanError>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let order = Arc::new(AtomicU32::new(WORK));
     let bus = SharedBus::new(Fragile(fleet.master(), Arc::clone(&order)), StopKind::Hold);
+    held_after(&bus, NOT_HELD);
     (fleet, order, bus)
 }
 
@@ -441,18 +456,9 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
         assert!(is_bus_off(told));
     }
     // A stop goes on trying.
-    let stopping = thread::spawn({
-        let bus = bus.clone();
-        move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
-    });
-    let is_stopped = |error: SharedBusError<_>| {
-        error.to_string().starts_with("motor 1: the motors were stopped")
-    };
-    while !bus.set_point(id(1), turn(1.0)).is_err_and(is_stopped) {
-        thread::yield_now();
-    }
-    order.store(WORK, Ordering::SeqCst);
-    assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::EMPTY);
+    order.store(FAIL_AT_WORK, Ordering::SeqCst);
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    assert_eq!(order.load(Ordering::SeqCst), WORK, "it has failed");
 }
 
 /// One caller after another, and those who take no answer hear what became of the motors.
@@ -539,6 +545,7 @@ fn a_set_point_that_waited_while_the_program_was_suspended_is_too_old() {
     let order = Arc::new(AtomicU32::new(WORK));
     let fragile = Fragile(fleet.master(), Arc::clone(&order));
     let bus = SharedBus::with_wake(fragile, || {}, StopKind::Hold);
+    held_after(&bus, NOT_HELD);
     bus.ask(id(1), ReadStatus1).unwrap();
     let (log, mut events) = (fleet.world.log(), bus.subscribe(100));
     order.store(SUSPEND_IDLE, Ordering::SeqCst);
@@ -572,6 +579,7 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
     bus.ask(id(1), ReadStatus1).unwrap();
     let log = fleet.world.log();
     hold_up(&order);
+    held_after(&bus, HELD);
     let (sender, told) = mpsc::channel();
     // Threads that wait for ever do not end with this one.
     let asking = |call: fn(&SharedBus<CanError>) -> Option<SharedBusError<CanError>>| {
@@ -593,15 +601,16 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
     asking(|bus| {
         let begun = std::time::Instant::now();
         let told = bus.ask_together([1; 8].map(|motor| (id(motor), ReadMultiTurnAngle)));
-        // As one: each by itself would take a second here.
-        assert!(begun.elapsed() < std::time::Duration::from_secs(5));
+        // As one: each by itself would take a second.
+        assert!(begun.elapsed() < 8 * HELD);
         told.into_iter().map(|outcome| outcome.err()).reduce(|one, other| one.and(other))?
     });
     assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
     for _ in 0..4 {
-        let told = told.recv_timeout(std::time::Duration::from_secs(10)).expect("an answer");
+        let told = told.recv_timeout(NOT_HELD).expect("an answer");
         assert!(matches!(told, Some(SharedBusError::Held)), "{told:?}");
     }
+    held_after(&bus, NOT_HELD);
     order.store(WORK, Ordering::SeqCst);
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
     // What nobody waits for any more is not sent then.
@@ -620,8 +629,10 @@ fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() 
         let (log, events) = (fleet.world.log(), bus.subscribe(100));
         // The master has it by then, and has not sent it.
         order.store(BLOCK_AT_WORK, Ordering::SeqCst);
+        held_after(&bus, HELD);
         let told = bus.ask(id(1), STEP).unwrap_err();
         assert!(matches!(told, SharedBusError::Held), "{told}");
+        held_after(&bus, NOT_HELD);
         order.store(outcome, Ordering::SeqCst);
         while bus.ask(id(1), ReadStatus1).is_err() {}
         assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
@@ -661,8 +672,9 @@ fn what_the_driver_says_is_called_an_error_of_the_bus_once() {
 
 #[test]
 fn who_waits_for_long_is_not_told_that_the_driver_is_held() {
-    // It idles until the time is up, which is longer than two rounds may take, unless it is woken.
+    // It idles until the time is up, which is longer than a round may take, unless it is woken.
     let (fleet, bus) = shared(1);
+    held_after(&bus, HELD);
     fleet.world.cut(fleet.drives[0].station());
     let patience = Patience { reply_timeout: Duration::from_millis(1_200), attempts: 1 };
     let told = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
@@ -682,8 +694,8 @@ fn of_several_guarded_buses_none_waits_for_another() {
     let leaving = thread::spawn(move || drop(Guards::new([held, bus], StopKind::Hold)));
     let begun = std::time::Instant::now();
     while !packets(&log).iter().any(|packet| packet.data[0] == 0x81) {
-        // Whoever waits for the first does so for two seconds.
-        assert!(begun.elapsed() < std::time::Duration::from_secs(1), "the second is not stopped");
+        // Whoever waits for the first does so for all that time.
+        assert!(begun.elapsed() < NOT_HELD, "the second is not stopped");
         thread::yield_now();
     }
     order.store(WORK, Ordering::SeqCst);
@@ -694,6 +706,7 @@ fn of_several_guarded_buses_none_waits_for_another() {
 fn a_guard_with_the_last_handle_tells_that_the_driver_does_not_come_back() {
     let (_fleet, order, bus) = fragile();
     hold_up(&order);
+    held_after(&bus, HELD);
     assert_eq!(Guard::new(bus, StopKind::Hold).finish().unwrap(), MotorSet::ALL);
     // It was held all the while.
     assert_eq!(order.swap(WORK, Ordering::SeqCst), BLOCKED);

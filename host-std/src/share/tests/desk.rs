@@ -60,6 +60,13 @@ impl Clerk<CanError> for Notes {
     }
 }
 
+/// One that nobody takes anything from but the test, when it comes to that.
+fn new_desk() -> Desk<CanError> {
+    let desk = Desk::new(None);
+    desk.lock().longest_round = NOT_HELD;
+    desk
+}
+
 fn taken(desk: &Desk<CanError>) -> Vec<String> {
     let mut notes = Notes::default();
     assert!(desk.take(&mut notes));
@@ -72,7 +79,7 @@ fn set(motor: u8, dps: f32) -> String {
 
 #[test]
 fn of_set_points_the_newest_is_taken_once() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     for (motor, dps) in [(1, 10.0), (2, 20.0), (1, 30.0)] {
         desk.set_point(id(motor), Untyped::of(&turn(dps))).unwrap();
     }
@@ -90,7 +97,7 @@ fn of_set_points_the_newest_is_taken_once() {
 
 #[test]
 fn nothing_older_than_a_stop_outlives_it() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     let moving = ask(&desk, 1, turn(2.0));
     let _answered = ask(&desk, 2, ReadStatus1);
@@ -137,7 +144,7 @@ fn ask(desk: &Desk<CanError>, motor: u8, command: impl Command) -> Awaited<Data,
 #[test]
 fn what_ends_motion_goes_first_and_drops_the_moves_that_wait() {
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
-    let desk = Desk::new(None);
+    let desk = new_desk();
     let _other = ask(&desk, 2, ReadStatus1);
     let _read = ask(&desk, 1, ReadStatus1);
     let _others = ask(&desk, 2, goal);
@@ -162,7 +169,7 @@ fn what_ends_motion_otherwise_and_is_older_than_a_stop_does_not_follow_it() {
     // A motor that was switched off would be switched on, and one that is held let go.
     for kind in [StopKind::Off, StopKind::Hold] {
         for is_of_all in [true, false] {
-            let desk = Desk::new(None);
+            let desk = new_desk();
             let _reading = ask(&desk, 1, ReadStatus1);
             let ending = match kind {
                 StopKind::Off => ask(&desk, 1, Stop),
@@ -186,7 +193,7 @@ fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
         |_| {},
     ];
     for (at, end) in ends.into_iter().enumerate() {
-        let desk = Desk::new(None);
+        let desk = new_desk();
         let (since, of_other) = (desk.past(id(1)), desk.past(id(2)));
         end(&desk);
         desk.lift_stop().unwrap();
@@ -201,7 +208,7 @@ fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
 
 #[test]
 fn somebody_elses_error_keeps_no_stop_from_the_bus() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
         desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
         desk.fail(&Arc::new(CanError::BusOff), []);
@@ -221,7 +228,7 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
 
 #[test]
 fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     let reading = Untyped::of(&ReadStatus1);
     let is_told = |outcome| matches!(outcome, Err(SharedBusError::Bus(_)));
     let error = Arc::new(CanError::BusOff);
@@ -244,7 +251,7 @@ fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
 /// It fails in round after round, and somebody comes in between.
 #[test]
 fn an_outage_that_somebody_was_told_is_not_told_when_it_is_over() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     let error = Arc::new(CanError::BusOff);
     desk.fail(&error, []);
     assert!(ask(&desk, 1, ReadStatus1).is_err());
@@ -255,7 +262,7 @@ fn an_outage_that_somebody_was_told_is_not_told_when_it_is_over() {
 
 #[test]
 fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     drop(ask(&desk, 1, Shutdown).unwrap());
     drop(ask(&desk, 2, ReadStatus1).unwrap());
     desk.fail(&Arc::new(CanError::BusOff), []);
@@ -266,7 +273,7 @@ fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() 
 fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     let is_refused =
         |told| matches!(told, SharedBusError::Refused { refusal: RequestError::Restarted, .. });
-    let desk = Desk::new(None);
+    let desk = new_desk();
     let reading = ask(&desk, 1, ReadStatus1);
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
     let moving = ask(&desk, 1, goal);
@@ -300,7 +307,7 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
 
 #[test]
 fn a_set_point_that_waits_behind_what_ends_motion_is_as_old_as_when_it_was_found_first() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     let ending = ask(&desk, 1, Shutdown);
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     let mut notes = Notes { looked_at: Instant::from_millis(10), ..Notes::default() };
@@ -348,7 +355,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, STEP))), "Hold"),
     ];
     for (at, (end, kind)) in ends.into_iter().enumerate() {
-        let desk = Desk::new(None);
+        let desk = new_desk();
         let since = desk.past(id(1));
         end(&desk);
         drop(desk.stop(id(1), StopKind::Hold, Some(since)));
@@ -356,7 +363,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         assert_eq!(stops.next_back(), Some(format!("stop 1: {kind}")), "{at}");
     }
     // Who begins now, or is nobody's, does as it says.
-    let desk = Desk::new(None);
+    let desk = new_desk();
     drop(ask(&desk, 1, Shutdown));
     drop(desk.stop(id(1), StopKind::Hold, Some(desk.past(id(1)))));
     drop(desk.stop(id(1), StopKind::Hold, None));
@@ -365,7 +372,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
 
 #[test]
 fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
-    let desk = Desk::new(None);
+    let desk = new_desk();
     desk.resume(id(1)).unwrap();
     desk.has_restarted(id(1));
     assert_eq!(taken(&desk), ["resume 1"]);
