@@ -1,9 +1,16 @@
 //! Runs the program, and reads what it printed.
 
+use std::fs::File;
+use std::io::{Read as _, Write as _};
 use std::process::{Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
+
+use crate::question::terminal;
 
 /// Every example frame of the manual, as data with the fields that the text beside it tells.
 const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
@@ -16,6 +23,61 @@ pub(crate) fn myactuator() -> Command {
 
 pub(crate) fn run(arguments: &[&str]) -> Output {
     myactuator().args(arguments).stdin(Stdio::null()).output().unwrap()
+}
+
+/// Does this again, a few times at the most, where a program has given a motor up and the machine is to blame: programs
+/// wait for an answer for a tenth of a second, and a busy machine may keep one from them for longer. A machine on which
+/// a byte goes through a pseudo-terminal at once all the while is not busy.
+pub(crate) fn unless_late<T>(
+    mut attempt: impl FnMut() -> T,
+    has_given_up: impl Fn(&T) -> bool,
+) -> T {
+    for _ in 0..7 {
+        let is_over = AtomicBool::new(false);
+        let (outcome, is_late) = thread::scope(|scope| {
+            let watching = scope.spawn(|| is_late_until(&is_over));
+            // Whoever fails ends the watch, too.
+            let ends = Ends(&is_over);
+            let outcome = attempt();
+            drop(ends);
+            (outcome, watching.join().unwrap())
+        });
+        if !(is_late && has_given_up(&outcome)) {
+            return outcome;
+        }
+    }
+    attempt()
+}
+
+/// Whether the machine is late with anything until this is over.
+fn is_late_until(is_over: &AtomicBool) -> bool {
+    const A_MOMENT: Duration = Duration::from_millis(1);
+    const LATE: Duration = Duration::from_millis(5);
+    let (mut keys, program) = terminal();
+    let mut program = File::from(program);
+    let mut is_late = false;
+    while !is_over.load(Ordering::Relaxed) {
+        let begun = Instant::now();
+        program.write_all(b"x").unwrap();
+        keys.read_exact(&mut [0]).unwrap();
+        thread::sleep(A_MOMENT);
+        is_late |= begun.elapsed() > LATE;
+    }
+    is_late
+}
+
+struct Ends<'a>(&'a AtomicBool);
+
+impl Drop for Ends<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Whether a program says that a motor did not answer.
+pub(crate) fn tells_of_silence(told: &str) -> bool {
+    let silence = ["no reply", "does not answer", "does not tell", "but not always"];
+    silence.iter().any(|words| told.contains(words))
 }
 
 /// As [`run`], with arguments that hold no spaces.

@@ -8,14 +8,19 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::run::{myactuator, run, text};
-use crate::sim_serve::Simulation;
+use crate::sim_serve::{Simulation, run_at};
 
 /// A simulation of so many motors that is controlled by this socket, and the folder that this is in.
 pub(crate) fn controlled(motors: u8) -> (TempDir, PathBuf, Simulation) {
+    controlled_on("slcan", motors)
+}
+
+/// The same on this kind of bus.
+pub(crate) fn controlled_on(kind: &str, motors: u8) -> (TempDir, PathBuf, Simulation) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control");
     let (count, socket) = (motors.to_string(), path.to_str().unwrap());
-    let options = ["--only", "slcan", "--count", &count, "--control", socket];
+    let options = ["--only", kind, "--count", &count, "--control", socket];
     let simulation = Simulation::start(2, &options);
     (folder, path, simulation)
 }
@@ -47,8 +52,7 @@ fn drives_are_looked_at_and_changed_while_they_run() {
     assert!(control(socket, &["state"]).contains("  motor 2: 123.00 deg, 0.0 dps"));
     // A drive with a cut cable is there, and does not answer.
     control(socket, &["fault", "cut@1"]);
-    let scan = run(&["scan", "--bus", bus]);
-    let scan = text(&scan.stdout);
+    let (_, scan) = run_at(bus, &["scan"]);
     assert!(scan.contains("motor 2:") && !scan.contains("motor 1:"), "{scan}");
     control(socket, &["fault", "mend"]);
 

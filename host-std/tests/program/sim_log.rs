@@ -2,15 +2,17 @@
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Stdio};
+use std::sync::MutexGuard;
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::held_up::full_pipe;
-use crate::run::{myactuator, run, text};
+use crate::run::myactuator;
+use crate::sim_serve::{alone, done_at, prefer};
 
 /// Ends with its owner, also if a test has failed.
-struct Ended(Child);
+struct Ended(Child, #[expect(dead_code, reason = "kept until then")] MutexGuard<'static, ()>);
 
 impl Drop for Ended {
     fn drop(&mut self) {
@@ -23,14 +25,15 @@ fn sim(arguments: &[&str], told: Stdio) -> Ended {
     let mut command = myactuator();
     command.args(["sim", "--only", "rs485", "--count", "1", "--brakes"]).args(arguments);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(told);
-    Ended(command.spawn().unwrap())
+    let alone = alone();
+    let process = command.spawn().unwrap();
+    prefer(&process);
+    Ended(process, alone)
 }
 
 /// Its brake keeps it from running.
 fn push(bus: &str) {
-    let torque = ["send", "--id", "1", "torque", "--current-a", "1", "--yes", "--bus", bus];
-    let output = run(&torque);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    done_at(bus, &["send", "--id", "1", "torque", "--current-a", "1", "--yes"]);
 }
 
 #[test]
