@@ -47,3 +47,11 @@ pub struct Packet {
     /// The eight data bytes.
     pub data: Data,
 }
+
+impl Packet {
+    /// Whether it is one of motion mode, whose data has no command byte.
+    #[inline]
+    pub(crate) const fn is_motion(&self) -> bool {
+        matches!(self.channel, Channel::Motion(_) | Channel::MotionReply(_))
+    }
+}

@@ -306,7 +306,7 @@ impl Broadcast {
     pub(super) fn take_reply(
         &mut self,
         motor: MotorId,
-        data: &Data,
+        reply: &Packet,
         shortest: Duration,
         now: Instant,
     ) -> bool {
@@ -314,7 +314,7 @@ impl Broadcast {
         if now - self.sent < shortest {
             return false;
         }
-        if self.may_be_mistaken(data[0], motor) {
+        if self.may_be_mistaken(reply.data[0], motor) {
             self.may_answer.remove(motor);
             if self.last.moves.contains(motor) && !self.others.moves.contains(motor) {
                 self.moved_since.remove(motor);
@@ -323,7 +323,7 @@ impl Broadcast {
         }
         let answers = self.is_in_flight()
             && self.silent.contains(motor)
-            && self.question().is_some_and(|asked| asked.is_answered_by(false, data));
+            && self.question().is_some_and(|asked| asked.is_answered_by(reply));
         if answers {
             self.silent.remove(motor);
             if self.silent.is_empty() {

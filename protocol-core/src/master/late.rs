@@ -2,6 +2,7 @@
 
 use crate::data::Data;
 use crate::kind::Kind;
+use crate::packet::Packet;
 use crate::time::Instant;
 
 /// What tells the replies to one command from those to another: its kind and, where the kind has one,
@@ -24,12 +25,13 @@ impl Question {
         Self { kind, key: 0 }
     }
 
-    /// Whether these bytes, from the channel of motion mode or not, can be a reply to it.
-    pub(super) fn is_answered_by(self, is_motion: bool, reply: &Data) -> bool {
-        if is_motion {
+    /// Whether this can be a reply to it; or, of a command that was never sent, whether it asks this.
+    pub(super) fn is_answered_by(self, reply: &Packet) -> bool {
+        if reply.is_motion() {
             return self.kind.is_motion();
         }
-        self.kind.byte() == Some(reply[0]) && self.kind.key(reply).unwrap_or(0) == self.key
+        let data = &reply.data;
+        self.kind.byte() == Some(data[0]) && self.kind.key(data).unwrap_or(0) == self.key
     }
 }
 
@@ -146,15 +148,10 @@ impl LateReplies {
 
     /// Takes a reply that is one of these, and gives what it is of and what it answers. One that may be the last one
     /// once more is none of these for sure: they are still expected then.
-    pub(super) fn take(
-        &mut self,
-        is_motion: bool,
-        reply: &Data,
-        may_be_doubled: bool,
-    ) -> Option<(Of, Question)> {
-        let place = self.0.iter_mut().find(|place| {
-            place.is_some_and(|late| late.question.is_answered_by(is_motion, reply))
-        })?;
+    pub(super) fn take(&mut self, reply: &Packet, may_be_doubled: bool) -> Option<(Of, Question)> {
+        let is_answered =
+            |place: &&mut Option<Late>| place.is_some_and(|it| it.question.is_answered_by(reply));
+        let place = self.0.iter_mut().find(is_answered)?;
         let late = (*place)?;
         Self::expect_fewer(place, u8::from(!may_be_doubled));
         Some((late.of, late.question))

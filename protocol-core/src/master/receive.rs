@@ -80,7 +80,7 @@ impl<const N: usize> Master<N> {
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
                 let (motor, reply) = (reply.id(), AnyReply::BusId(reply));
-                let is_answer = self.answers_broadcast(motor, data, now);
+                let is_answer = self.answers_broadcast(motor, packet, now);
                 is_answer.then_some(Event::BroadcastReply { motor, reply })
             }
             Channel::Command(_) | Channel::Motion(_) => None,
@@ -128,7 +128,7 @@ impl<const N: usize> Master<N> {
                 None
             }
             Meaning::OfBroadcast => {
-                let is_answer = self.answers_broadcast(id, &packet.data, now);
+                let is_answer = self.answers_broadcast(id, packet, now);
                 let reply = AnyReply::decode(packet, self.config.firmware).ok();
                 reply.filter(|_| is_answer).map(|reply| Event::BroadcastReply { motor: id, reply })
             }
@@ -151,7 +151,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether this reply of `motor` answers the broadcast.
-    fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
+    fn answers_broadcast(&mut self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
+        let data = &packet.data;
         // What a drive has ignored that has lost its master is no answer.
         let (kind, command) = self.broadcast.command();
         let is_echo = self.broadcast.may_be_mistaken(data[0], motor) && command == *data;
@@ -164,7 +165,7 @@ impl<const N: usize> Master<N> {
         }
         let shortest = self.config.shortest_response;
         let was_owed = self.broadcast.may_be_mistaken(data[0], motor);
-        let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
+        let is_answer = self.broadcast.take_reply(motor, packet, shortest, now);
         let is_taken = was_owed && !self.broadcast.may_be_mistaken(data[0], motor);
         if is_answer || is_taken {
             // Also of one that is over: the same once more answers nothing else.
@@ -189,13 +190,13 @@ impl<const N: usize> Master<N> {
         is_doubled: bool,
     ) -> Event {
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
-        if let Channel::MotionReply(_) = packet.channel {
+        if packet.is_motion() {
             return self.stray(id, &packet.data);
         }
         let Ok(reply) = AnyReply::decode(packet, self.config.firmware) else {
             return self.stray(id, &packet.data);
         };
-        if !is_doubled && self.answers_broadcast(id, &packet.data, now) {
+        if !is_doubled && self.answers_broadcast(id, packet, now) {
             return Event::BroadcastReply { motor: id, reply };
         }
         let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);

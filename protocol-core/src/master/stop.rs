@@ -367,7 +367,7 @@ impl<const N: usize> Master<N> {
         let is_undone = kind == StopKind::Hold && self.is_any_off_since;
         let told = kind.question();
         for place in self.places.taken.iter() {
-            self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));
+            self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, packet));
         }
         if self.is_same_for_all(kind) && !is_undone {
             self.stop_to_all = Some(kind);

@@ -1,10 +1,10 @@
 //! What was given up: its replies may come late, and until when it may still move the motor.
 
-use crate::data::Data;
 use crate::master::config::Config;
 use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
 use crate::master::on_its_way::OnItsWay;
+use crate::packet::Packet;
 use crate::time::Instant;
 
 impl Motor {
@@ -65,11 +65,10 @@ impl Motor {
     /// [`LateReplies::take`](crate::master::late::LateReplies::take).
     pub(in crate::master) fn take_late(
         &mut self,
-        is_motion: bool,
-        reply: &Data,
+        reply: &Packet,
         may_be_doubled: bool,
     ) -> Option<Of> {
-        let (of, question) = self.late.take(is_motion, reply, may_be_doubled)?;
+        let (of, question) = self.late.take(reply, may_be_doubled)?;
         self.last_answered = Some(question);
         if !self.late.may_move() && !self.is_beyond_late {
             self.on_its_way.finish();

@@ -8,7 +8,7 @@ use crate::master::motor::stopping::Told;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Request};
 use crate::opcode::Opcode;
-use crate::packet::{Channel, Packet};
+use crate::packet::Packet;
 use crate::time::Instant;
 
 impl Motor {
@@ -16,9 +16,9 @@ impl Motor {
     pub(in crate::master) fn was_pushed_out(&mut self, packet: &Packet) {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
-        let is_motion = matches!(packet.channel, Channel::Motion(_));
-        let is_this =
-            |kind: Kind, data: &Data| kind.is_motion() == is_motion && *data == packet.data;
+        let is_this = |kind: Kind, data: &Data| {
+            kind.is_motion() == packet.is_motion() && *data == packet.data
+        };
         let asked = match self.request {
             // It was not sent yet, so that this is another like it.
             Request::Waiting(asked) if asked.unanswered == 0 => None,
@@ -32,7 +32,7 @@ impl Motor {
         } else if self.stream.in_flight().is_some_and(|it| is_this(it.question.kind, &it.data)) {
             self.set_point_was_pushed_out();
         } else {
-            self.given_up_was_pushed_out(is_motion, &packet.data);
+            self.given_up_was_pushed_out(packet);
         }
     }
 
@@ -79,13 +79,13 @@ impl Motor {
     }
 
     /// A stop went over it, or its time was up: it will not be answered.
-    fn given_up_was_pushed_out(&mut self, is_motion: bool, data: &Data) {
-        let command = Opcode::from_byte(data[0]).filter(|_| !is_motion);
+    fn given_up_was_pushed_out(&mut self, packet: &Packet) {
+        let command = Opcode::from_byte(packet.data[0]).filter(|_| !packet.is_motion());
         if command.is_some_and(|it| Kind::Known(it).ends_motion()) {
             // It may have been what told it to stop.
             self.told = Told::Nothing;
         }
-        match self.take_late(is_motion, data, false) {
+        match self.take_late(packet, false) {
             Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
             Some(Of::RequestAnswered | Of::StreamAnswered) => {
                 // What was taken for its answer came late, to one that counted as lost.

@@ -12,7 +12,7 @@ use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Failure, MotorSet, TicketId};
 use crate::opcode::{Opcode, Repeat};
-use crate::packet::{Channel, Packet};
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
 /// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of
@@ -50,8 +50,7 @@ pub(in crate::master) struct Heard<'a> {
 impl Heard<'_> {
     /// Whether it may be the answer to what all were told.
     fn may_answer_broadcast(&self) -> bool {
-        let is_motion = matches!(self.packet.channel, Channel::MotionReply(_));
-        !is_motion && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
+        !self.packet.is_motion() && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
     }
 
     /// Whether it may be the echo of a drive that has lost its master and ignored the command.
@@ -74,9 +73,7 @@ impl Motor {
     /// Holds a reply against what is expected: what is in flight, and what may come late.
     pub(in crate::master) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
-        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
-        let data = &packet.data;
-        let is_same = |question: Question| question.is_answered_by(is_motion, data);
+        let is_same = |question: Question| question.is_answered_by(packet);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
         let shortest = match config.shortest_response {
             clear if may_be_doubled && clear > Duration::ZERO => clear.max(config.doubled_within()),
@@ -109,7 +106,6 @@ impl Motor {
         heard: &mut Heard<'_>,
         config: &Config,
     ) -> Meaning {
-        let data = &heard.packet.data;
         // Of what waits to be sent again: the last answer doubled.
         if may_be_doubled && self.request.waiting().is_some() {
             return Meaning::Nothing;
@@ -118,11 +114,11 @@ impl Motor {
             return self.take_answer(asked, heard, config);
         }
         // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-        if heard.to_all.may_be_mistaken(data[0], heard.from) {
+        if heard.may_answer_broadcast() {
             self.request = Request::Waiting(asked);
             return Meaning::OfBroadcast;
         }
-        if self.take_late(false, data, may_be_doubled).is_none() {
+        if self.take_late(heard.packet, may_be_doubled).is_none() {
             return self.take_answer(asked, heard, config);
         }
         // Nobody counts what may be the last one again: each would send one more.
@@ -141,11 +137,10 @@ impl Motor {
         config: &Config,
     ) -> Meaning {
         let &Heard { packet, at: now, .. } = heard;
-        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         if heard.may_answer_broadcast() {
             self.note_late_replies_say_nothing();
         }
-        match self.take_late(is_motion, &packet.data, may_be_doubled) {
+        match self.take_late(packet, may_be_doubled) {
             None => Meaning::Unasked {
                 is_doubled: may_be_doubled && config.shortest_response > Duration::ZERO,
             },

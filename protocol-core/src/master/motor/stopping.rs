@@ -17,7 +17,6 @@
 //!    Then it was given up ([`stop_was_given_up`](Motor::stop_was_given_up)), which is reported, and goes once more from
 //!    time to time, and when the motor is heard, for as long as it is in force ([`Purpose::StopAgain`]).
 
-use crate::data::Data;
 use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
@@ -26,6 +25,7 @@ use crate::master::motor::{Motor, News};
 use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::{STOP_ATTEMPTS, StopKind};
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 use crate::time::Instant;
 
 /// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
@@ -238,11 +238,15 @@ impl Motor {
     }
 
     /// The stop to all was handed back: nobody answers it.
-    pub(in crate::master) fn stop_to_all_was_pushed_out(&mut self, told: Question, data: &Data) {
+    pub(in crate::master) fn stop_to_all_was_pushed_out(
+        &mut self,
+        told: Question,
+        packet: &Packet,
+    ) {
         match self.own_stop(told) {
             Some(stop) if stop.unanswered > 0 => stop.unanswered -= 1,
             _ => {
-                self.take_late(false, data, false);
+                self.take_late(packet, false);
             }
         }
     }

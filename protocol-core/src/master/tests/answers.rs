@@ -529,10 +529,10 @@ fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
     assert_eq!(late.end_of(question), Some(ms(30)), "the longest counts");
     // Three of them, told as the last was given up.
     for _ in 0..3 {
-        let taken = late.take(false, &ReadModel.encode(), false);
+        let taken = late.take(&ReadModel.packet(id(1)), false);
         assert_eq!(taken.map(|(of, _)| of), Some(Of::RequestStopped));
     }
-    assert_eq!(late.take(false, &ReadModel.encode(), false), None);
+    assert_eq!(late.take(&ReadModel.packet(id(1)), false), None);
 }
 
 #[test]
@@ -759,7 +759,7 @@ fn thirty_late_answers_to_one_question_are_told_apart_from_the_next() {
     for _ in 0..3 {
         late.expect(stop, Of::Nobody, 15, ms(1));
     }
-    let is_one = |_: &u32| late.take(false, &Stop.encode(), false).is_some();
+    let is_one = |_: &u32| late.take(&Stop.packet(id(1)), false).is_some();
     assert_eq!((0..100).take_while(is_one).count(), 30);
 }
 
