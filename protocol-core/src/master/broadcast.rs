@@ -201,19 +201,13 @@ impl Broadcast {
         }
     }
 
-    /// A motor is stopped by itself.
-    pub(super) fn was_overtaken(&mut self, motor: MotorId, by: StopKind) {
-        self.held.remove(motor);
-        self.off.remove(motor);
+    /// These are stopped so, each by itself, or all, also those who have no place.
+    pub(super) fn was_overtaken(&mut self, by: StopKind, motors: MotorSet) {
+        (self.held, self.off) = (self.held.without(motors), self.off.without(motors));
         match by {
-            StopKind::Hold => self.held.insert(motor),
-            StopKind::Off => self.off.insert(motor),
+            StopKind::Hold => self.held = self.held.with(motors),
+            StopKind::Off => self.off = self.off.with(motors),
         }
-    }
-
-    /// All are stopped, also those who have no place.
-    pub(super) fn all_were_stopped(&mut self, by: StopKind) {
-        (self.held, self.off) = (all_if(by == StopKind::Hold), all_if(by == StopKind::Off));
     }
 
     /// The motors that were stopped since all were told last to end their motion: to be held, and to be off.

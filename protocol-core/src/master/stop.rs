@@ -103,7 +103,7 @@ impl<const N: usize> Master<N> {
         let is_called_again =
             was == Some(kind) || self.stop_to_all_was == Some(kind) && !self.was_any_moved();
         self.broadcast.cancel();
-        self.broadcast.all_were_stopped(kind);
+        self.broadcast.was_overtaken(kind, MotorSet::ALL);
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
@@ -259,7 +259,7 @@ impl<const N: usize> Master<N> {
 
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
     pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: StopKind) {
-        self.broadcast.was_overtaken(motor, by);
+        self.broadcast.was_overtaken(by, motor.into());
         if self.broadcast.is_waiting() {
             self.end_motion_of_all();
         }
