@@ -119,6 +119,14 @@ impl Asked {
     pub(super) fn kind(&self) -> Kind {
         self.question.kind
     }
+
+    pub(super) fn ends_motion(&self) -> bool {
+        self.kind().ends_motion()
+    }
+
+    pub(super) fn may_move(&self) -> bool {
+        self.kind().may_move()
+    }
 }
 
 /// How far a request is.

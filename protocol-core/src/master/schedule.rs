@@ -165,9 +165,8 @@ impl<const N: usize> Master<N> {
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
         // A broadcast that waits lets what was asked before it go, attempts of what has begun, and what ends motion: it
         // waits for their end.
-        let is_first = asked.unanswered > 0
-            || self.broadcast.is_after(motor.ticket)
-            || asked.kind().ends_motion();
+        let is_first =
+            asked.unanswered > 0 || self.broadcast.is_after(motor.ticket) || asked.ends_motion();
         motor.may_send_request(asked, self.is_undone_with_all(motor))
             && (is_first && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
@@ -198,7 +197,7 @@ impl<const N: usize> Master<N> {
         let holds = question.kind == Kind::Known(Opcode::Stop);
         let lets_go = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Shutdown);
         let is_first = |asked: &Asked| {
-            let may_move = question.kind.may_move() && asked.kind().ends_motion();
+            let may_move = question.kind.may_move() && asked.ends_motion();
             asked.unanswered > 0 || may_move || holds && lets_go(asked)
         };
         // Nor is what one is to be told once more, when nothing that all were told can undo it: this would prolong that.

@@ -5,7 +5,6 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
-use crate::master::motor::stopping::Told;
 use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
 use crate::opcode::Opcode;
@@ -158,9 +157,6 @@ impl<const N: usize> Master<N> {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
-                            if kind.is_refused_while_stopped() {
-                                motor.told = Told::Nothing;
-                            }
                             motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
                         });
                     }

@@ -76,7 +76,7 @@ impl Motor {
             self.news.insert(News::UNANSWERED);
         }
         let Request::InFlight(mut asked) = self.request else { return };
-        if asked.kind().ends_motion() {
+        if asked.ends_motion() {
             // What it answered before a cut says nothing of what lies in a mailbox yet.
             asked.proof = Proof::First;
             self.note_bus_may_be_cut(now, config);

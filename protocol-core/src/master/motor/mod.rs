@@ -179,11 +179,17 @@ impl Motor {
         }
     }
 
-    /// Drops what waits and would move it.
-    pub(super) fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
+    /// Drops what waits and would move it. What was sent and moves it goes no more, whatever becomes of it.
+    fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
-        if self.request.waiting().is_some_and(|asked| asked.kind().may_move()) {
+        if self.request.waiting().is_some_and(Asked::may_move) {
             self.finish_request(Request::Failed(why), config, now);
+        }
+        self.last_sent.insert(LastSent::IS_OLD);
+        if let Request::InFlight(asked) | Request::Sent(asked) = &mut self.request {
+            if asked.may_move() {
+                asked.withdraw();
+            }
         }
     }
 
@@ -218,16 +224,6 @@ impl Motor {
         self.last_sent.contains(LastSent::HAD_ITS_CHANCE)
     }
 
-    /// What was sent to it goes no more if it moves, whatever becomes of it.
-    pub(super) fn send_no_more(&mut self) {
-        self.last_sent.insert(LastSent::IS_OLD);
-        if let Request::InFlight(asked) | Request::Sent(asked) = &mut self.request {
-            if asked.kind().may_move() {
-                asked.withdraw();
-            }
-        }
-    }
-
     pub(super) fn health(&self) -> Health {
         self.health.health(match self.misses.max(self.unreached) {
             SILENT_AFTER.. => Presence::Silent,
@@ -253,8 +249,8 @@ impl Motor {
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
-        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-        let may_answer = || !self.is_silent() || self.request.in_flight().is_some_and(ends_motion);
+        let ends_motion = || self.request.in_flight().is_some_and(Asked::ends_motion);
+        let may_answer = || !self.is_silent() || ends_motion();
         (makes_way || self.is_behind(round) && may_answer()) && !self.had_its_chance()
     }
 
@@ -287,7 +283,7 @@ impl Motor {
     /// Whether a request that ends its motion is to be sent.
     #[inline]
     pub(super) fn waits_to_end_motion(&self) -> bool {
-        self.request.waiting().is_some_and(|asked| asked.kind().ends_motion())
+        self.request.waiting().is_some_and(Asked::ends_motion)
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
@@ -321,16 +317,17 @@ impl Motor {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
         self.was_sent(LastSent::empty(), now);
-        self.note_told(asked.kind());
-        self.note_whether_told(&asked);
+        self.note_sent(asked.kind(), &asked.data, config, now);
+        if asked.is_stop() && self.told == Told::Nothing {
+            self.told = Told::ByThis;
+        }
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
-            if asked.kind().may_move() {
+            if asked.may_move() {
                 self.may_move_until(late, config);
             }
             self.request = Request::Sent(asked);
-            self.note_sent(asked.kind(), &asked.data, config, now);
             return Some(true);
         }
         // Only a stop goes over something in flight, which may still be on its way: on a line it waits for that.
@@ -371,7 +368,7 @@ impl Motor {
             _ => Of::Request,
         };
         // One of several sendings is answered, the newest may be yet. A read of old is not worth that wait.
-        let ends_motion = self.request.under_way().is_some_and(|asked| asked.kind().ends_motion());
+        let ends_motion = self.request.under_way().is_some_and(Asked::ends_motion);
         let last_chance = if ends_motion { self.last_chance(now) } else { now };
         self.give_request_up(of, config, last_chance);
         self.request = outcome;
@@ -434,8 +431,12 @@ impl Motor {
         silence < config.doubled_within()
     }
 
-    /// Keeps track of what commands without a reply change: where it believes it is, and what it reports by itself.
+    /// It was sent this, by itself or with all: keeps track of where it believes it is, what it reports by itself, and how it
+    /// was stopped last.
     pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
+        if kind.is_refused_while_stopped() {
+            self.told = Told::Nothing;
+        }
         match kind.opcode() {
             Some(Opcode::Reset) => self.begin_anew(config, now),
             Some(Opcode::ActiveReply) => self.note_reports(data),

@@ -54,7 +54,7 @@ impl Motor {
             self.last_sent.insert(LastSent::MAKES_WAY);
         }
         let is_old = self.last_sent.contains(LastSent::IS_OLD);
-        self.request = match asked.kind().may_move() {
+        self.request = match asked.may_move() {
             true if self.has_restarted => Request::Failed(Failure::Dropped),
             true if is_old => Request::Failed(Failure::Stopped),
             _ if asked.may_go_again() => Request::Waiting(asked),
@@ -66,12 +66,11 @@ impl Motor {
         self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
         // Nor was it a set-point's turn.
         self.last_sent.remove(LastSent::REQUESTS_TURN);
-        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
         let is_newest = self.stream.was_pushed_out();
         if !is_newest {
             self.health.superseded = self.health.superseded.saturating_add(1);
         } else if self.last_sent.contains(LastSent::IS_OLD)
-            || self.request.under_way().is_some_and(ends_motion)
+            || self.request.under_way().is_some_and(Asked::ends_motion)
         {
             // What waits to end motion was asked for after it, and a restart is news since.
             self.drop_waiting_set_point();

@@ -153,6 +153,5 @@ impl Motor {
         self.last_stop.end_by_restart();
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
-        self.send_no_more();
     }
 }

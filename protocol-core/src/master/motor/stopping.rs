@@ -161,18 +161,9 @@ impl Motor {
         }
     }
 
-    /// It was sent this by itself.
-    pub(super) fn note_whether_told(&mut self, asked: &Asked) {
-        self.told = match self.told {
-            Told::Nothing if asked.is_stop() => Told::ByThis,
-            _ if asked.kind().is_refused_while_stopped() => Told::Nothing,
-            told => told,
-        };
-    }
-
     /// It was told this, by itself or with all. If that stops it, a stop that it has not confirmed goes on like that: a
     /// hold would switch on whom somebody has switched off since.
-    pub(in crate::master) fn note_told(&mut self, kind: Kind) {
+    pub(super) fn note_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         match &mut self.last_stop {
             LastStop::Confirmed(kind) if *kind != told => self.last_stop = LastStop::None,
@@ -206,9 +197,8 @@ impl Motor {
 
     /// The stop that it has not confirmed, and since when nothing goes on with that.
     pub(in crate::master) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
-        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
         match self.last_stop {
-            _ if self.request.under_way().is_some_and(ends_motion) => None,
+            _ if self.request.under_way().is_some_and(Asked::ends_motion) => None,
             LastStop::Unconfirmed { kind, since, .. } => Some((kind, since)),
             LastStop::None | LastStop::Confirmed(_) => None,
         }
@@ -270,6 +260,5 @@ impl Motor {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
-        self.send_no_more();
     }
 }
