@@ -163,7 +163,7 @@ pub struct Master<const N: usize> {
     lost_master: MotorSet,
     /// A stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
-    /// When one was sent last; zero before that.
+    /// When one was sent last.
     stop_to_all_sent: Instant,
     /// The last one that was sent, unless it was handed back, or all were moved or told to end their motion since.
     stop_to_all_was: Option<StopKind>,

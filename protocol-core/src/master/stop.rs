@@ -100,8 +100,7 @@ impl<const N: usize> Master<N> {
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
-        let is_called_again =
-            was == Some(kind) || self.stop_to_all_was == Some(kind) && !self.was_any_moved();
+        let is_called_again = self.stop_to_all_was == Some(kind) && !self.was_any_moved();
         self.broadcast.cancel();
         self.broadcast.was_overtaken(kind, MotorSet::ALL);
         let mut result = Ok(());
@@ -145,7 +144,7 @@ impl<const N: usize> Master<N> {
         let waits = |asked: &Asked| asked.proof.waits();
         let (sent, mut stops) = (self.stop_to_all_sent, self.at(self.places.stops));
         is_needed
-            && (sent == Instant::ZERO || self.now - sent >= STOP_AGAIN_AFTER)
+            && self.now - sent >= STOP_AGAIN_AFTER
             && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
     }
 
@@ -347,7 +346,7 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
-        self.stop_to_all_sent = now.max(Instant::from_micros(1));
+        self.stop_to_all_sent = now;
         self.stop_to_all_was = Some(kind);
         self.due = now;
         let told = kind.question();

@@ -529,6 +529,23 @@ fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
     assert!(at.len() > 1 && at.windows(2).all(|at| at[1] - at[0] >= 100), "{at:?}");
 }
 
+/// Nobody has told it to stop yet, though all were.
+#[test]
+fn whoever_is_found_without_a_place_while_a_stop_is_in_force_is_stopped_when_it_is_called_again() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(0));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, Stop.encode())]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), confirmed(1));
+    master.note_found([id(1), id(2)].into());
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(3))[0], packet_to_all(Stop.encode()));
+    // Once.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert!(!sent(&mut master, ms(4)).contains(&packet_to_all(Stop.encode())));
+}
+
 #[test]
 fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
