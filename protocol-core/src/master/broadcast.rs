@@ -294,8 +294,8 @@ impl Broadcast {
         known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))
     }
 
-    /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
-    /// once.
+    /// Whether this reply of `motor`, which may be owed to the last broadcast, answers this one; each motor that is
+    /// expected to does so once. `None` if it is owed to neither.
     #[inline(never)]
     pub(super) fn take_reply(
         &mut self,
@@ -303,12 +303,13 @@ impl Broadcast {
         reply: &Packet,
         shortest: Duration,
         now: Instant,
-    ) -> bool {
+    ) -> Option<bool> {
         // What comes sooner is a reply from before, doubled.
         if now - self.sent < shortest {
-            return false;
+            return None;
         }
-        if self.may_be_mistaken(reply.data[0], motor) {
+        let is_owed = self.may_be_mistaken(reply.data[0], motor);
+        if is_owed {
             self.may_answer.remove(motor);
             if self.last.moves.contains(motor) && !self.others.moves.contains(motor) {
                 self.moved_since.remove(motor);
@@ -324,7 +325,7 @@ impl Broadcast {
                 self.state = State::Done;
             }
         }
-        answers
+        (is_owed || answers).then_some(answers)
     }
 
     /// When it was sent, or the one before it while it waits.

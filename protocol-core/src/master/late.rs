@@ -111,12 +111,18 @@ impl LateReplies {
         self.0.iter_mut().flatten().find(|late| late.question == question)
     }
 
-    /// So many fewer replies may come to the one in this place.
-    fn expect_fewer(place: &mut Option<Late>, replies: u8) {
-        *place = place.and_then(|late| {
-            let replies = late.replies.saturating_sub(replies);
-            (replies > 0).then_some(Late { replies, ..late })
-        });
+    /// So many fewer replies may come to the first of these questions. Gives what they are of.
+    fn expect_fewer(
+        &mut self,
+        replies: u8,
+        is_it: impl Fn(Question) -> bool,
+    ) -> Option<(Of, Question)> {
+        let mut places = self.0.iter_mut();
+        let place = places.find(|place| place.is_some_and(|late| is_it(late.question)))?;
+        let late = (*place)?;
+        let replies = late.replies.saturating_sub(replies);
+        *place = (replies > 0).then_some(Late { replies, ..late });
+        Some((late.of, late.question))
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -149,12 +155,7 @@ impl LateReplies {
     /// Takes a reply that is one of these, and gives what it is of and what it answers. One that may be the last one
     /// once more is none of these for sure: they are still expected then.
     pub(super) fn take(&mut self, reply: &Packet, may_be_doubled: bool) -> Option<(Of, Question)> {
-        let is_answered =
-            |place: &&mut Option<Late>| place.is_some_and(|it| it.question.is_answered_by(reply));
-        let place = self.0.iter_mut().find(is_answered)?;
-        let late = (*place)?;
-        Self::expect_fewer(place, u8::from(!may_be_doubled));
-        Some((late.of, late.question))
+        self.expect_fewer(u8::from(!may_be_doubled), |asked| asked.is_answered_by(reply))
     }
 
     /// Forgets what cannot come any more. Whether a command that may move the motor was among it.
@@ -182,8 +183,7 @@ impl LateReplies {
 
     /// So many of these are no longer late: what they answer goes on.
     pub(super) fn withdraw(&mut self, question: Question, replies: u8) {
-        let of_that = |place: &&mut Option<Late>| place.is_some_and(|it| it.question == question);
-        self.0.iter_mut().filter(of_that).for_each(|place| Self::expect_fewer(place, replies));
+        let _ = self.expect_fewer(replies, |asked| asked == question);
     }
 
     /// When replies to this question cannot come any more.

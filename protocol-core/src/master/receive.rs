@@ -164,20 +164,17 @@ impl<const N: usize> Master<N> {
             return false;
         }
         let shortest = self.config.shortest_response;
-        let was_owed = self.broadcast.may_be_mistaken(data[0], motor);
-        let is_answer = self.broadcast.take_reply(motor, packet, shortest, now);
-        let is_taken = was_owed && !self.broadcast.may_be_mistaken(data[0], motor);
-        if is_answer || is_taken {
-            // Also of one that is over: the same once more answers nothing else.
-            let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
-            let asked = asked.or(self.broadcast.question());
-            self.change(motor, |motor, _| {
-                motor.last_answered = asked;
-                if is_answer {
-                    motor.answered(None);
-                }
-            });
-        }
+        let taken = self.broadcast.take_reply(motor, packet, shortest, now);
+        let Some(is_answer) = taken else { return false };
+        // Also of one that is over: the same once more answers nothing else.
+        let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
+        let asked = asked.or(self.broadcast.question());
+        self.change(motor, |motor, _| {
+            motor.last_answered = asked;
+            if is_answer {
+                motor.answered(None);
+            }
+        });
         is_answer
     }
 
