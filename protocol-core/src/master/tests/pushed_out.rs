@@ -48,6 +48,23 @@ fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
     assert_eq!(sent(&mut master, ms(1))[0], pushed_out);
 }
 
+/// Others that were sent as much would push it out once more, each of them.
+#[test]
+fn a_stop_that_was_pushed_out_and_goes_again_is_behind_no_set_point_of_others() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    let pushed_out = packet_to(2, Shutdown.encode());
+    assert_eq!(sent(&mut master, ms(1)), [pushed_out]);
+    master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1)), [pushed_out]);
+    assert_eq!(reply(&mut master, 2, Shutdown.encode(), ms(2)), confirmed(2));
+    assert_eq!(sent(&mut master, ms(2)), [packet_to(1, torque(2.0).encode())]);
+}
+
 #[test]
 fn a_set_point_that_was_pushed_out_gives_way_to_a_newer_one_and_to_a_stop() {
     let mut master = Master::<2>::new(Config::CAN);
