@@ -196,7 +196,7 @@ impl<const N: usize> Master<N> {
         if !is_doubled && self.answers_broadcast(id, packet, now) {
             return Event::BroadcastReply { motor: id, reply };
         }
-        let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
+        let bit = Opcode::from_byte(packet.data[0]).map_or(0, reported_bit);
         let is_report = match (self.motor(id), &reply) {
             _ if has_errors(&reply) => true,
             // That there are none is reported without having been asked for, too (function 3).

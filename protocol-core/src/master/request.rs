@@ -257,7 +257,7 @@ impl<const N: usize> Master<N> {
                 return Err(RequestError::Restarted);
             }
             if let Some(opcode) = kind.opcode() {
-                if reported_bit(opcode).is_some_and(|bit| motor.reports(bit, now)) {
+                if motor.reports(reported_bit(opcode), now) {
                     return Err(RequestError::Reported(opcode));
                 }
                 if motor.stream.is_of(question) {

@@ -174,18 +174,14 @@ impl<const N: usize> Master<N> {
 
     /// Whether a command to all may still reach a motor and undo its request, for a time that is known.
     fn is_undone_with_all(&self, motor: &Motor) -> bool {
-        match (motor.id, motor.request.waiting()) {
-            (Some(id), Some(asked)) => self.broadcast.may_undo_for_a_while(asked.kind(), id),
-            _ => false,
-        }
+        let asked = motor.id.zip(motor.request.waiting());
+        asked.is_some_and(|(id, it)| self.broadcast.may_undo_for_a_while(it.kind(), id))
     }
 
     /// Whether a motor's answer to the last broadcast could be taken for that to its request.
     fn is_confusable(&self, motor: &Motor) -> bool {
-        match (motor.id, motor.request.waiting()) {
-            (Some(id), Some(asked)) => self.broadcast.may_be_mistaken(asked.data[0], id),
-            _ => false,
-        }
+        let asked = motor.id.zip(motor.request.waiting());
+        asked.is_some_and(|(id, it)| self.broadcast.may_be_mistaken(it.data[0], id))
     }
 
     /// Whether the broadcast that waits may go: no answer that looks like its own can come from a

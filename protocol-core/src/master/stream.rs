@@ -140,7 +140,6 @@ impl<const N: usize> Master<N> {
 
     /// Whether a motor's newest set-point is still to be sent, or to be answered.
     pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
-        let stream = self.motor(motor).map(|motor| &motor.stream);
-        stream.is_some_and(|stream| stream.waiting().or(stream.in_flight()).is_some())
+        self.motor(motor).is_some_and(|motor| !motor.stream.is_none())
     }
 }

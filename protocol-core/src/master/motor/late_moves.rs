@@ -22,8 +22,9 @@ impl Motor {
 
     /// What moves was given up.
     fn may_move_until_answered(&mut self, until: Instant, config: &Config) {
-        self.is_beyond_late &=
-            self.may_yet_move() || matches!(self.on_its_way, OnItsWay::OverByTime(_));
+        if let OnItsWay::No = self.on_its_way {
+            self.is_beyond_late = false;
+        }
         self.on_its_way.put(until, !config.is_rs485());
     }
 

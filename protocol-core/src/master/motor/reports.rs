@@ -18,7 +18,7 @@ impl Motor {
     /// It was told what to report from now on, or what no more.
     pub(super) fn note_reports(&mut self, data: &Data) {
         let [_, command, enable, low, high, ..] = *data;
-        let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
+        let bit = Opcode::from_byte(command).map_or(0, reported_bit);
         self.reports &= !bit;
         if enable != 0 {
             self.reports |= bit;
@@ -36,7 +36,7 @@ impl Motor {
     }
 }
 
-/// The bit of a command that a drive can report by itself (2.34.2).
-pub(in crate::master) fn reported_bit(opcode: Opcode) -> Option<u8> {
-    opcode.report_place().map(|place| 1 << place)
+/// The bit of a command that a drive can report by itself (2.34.2), and none of any other.
+pub(in crate::master) fn reported_bit(opcode: Opcode) -> u8 {
+    opcode.report_place().map_or(0, |place| 1 << place)
 }
