@@ -134,12 +134,6 @@ impl Broadcast {
         self.state != State::None
     }
 
-    /// Requests wait while it waits or is in flight. Not until it is told that it is over: who then begins
-    /// the next one at once would keep them back for ever.
-    pub(super) fn keeps_requests_back(&self) -> bool {
-        self.is_waiting() || self.is_in_flight()
-    }
-
     pub(super) fn is_waiting(&self) -> bool {
         matches!(self.state, State::Waiting | State::Again)
     }

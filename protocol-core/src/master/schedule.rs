@@ -163,12 +163,14 @@ impl<const N: usize> Master<N> {
     /// Whether a motor's request could be sent now.
     #[inline(never)]
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
-        // A broadcast that waits lets what was asked before it go, attempts of what has begun, and what ends motion: it
-        // waits for their end.
+        // None goes while a broadcast is in flight. Not until it is told that it is over: who then begins the next one at
+        // once would keep them back for ever. One that waits lets what was asked before it go, attempts of what has begun,
+        // and what ends motion: it waits for their end.
         let is_first =
             asked.unanswered > 0 || self.broadcast.is_after(motor.ticket) || asked.ends_motion();
         motor.may_send_request(asked, self.is_undone_with_all(motor))
-            && (is_first && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
+            && !self.broadcast.is_in_flight()
+            && (is_first || !self.broadcast.is_waiting())
             && !self.is_confusable(motor)
     }
 
