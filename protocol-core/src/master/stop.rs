@@ -99,7 +99,7 @@ impl<const N: usize> Master<N> {
     /// stopped all the same, and one stop goes to all.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
-        let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
+        let was_stopped = self.stops_all.is_some();
         let is_called_again = self.stop_to_all_was == Some(kind) && !self.was_any_moved();
         self.broadcast.cancel();
         self.broadcast.was_overtaken(kind, MotorSet::ALL);
@@ -116,9 +116,10 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        let goes = was_same_for_all && self.is_stop_to_all_due(is_called_again, result.is_err());
+        let goes =
+            self.is_same_for_all(kind) && self.is_stop_to_all_due(is_called_again, result.is_err());
         // One that waits has reached nobody yet.
-        let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
+        let waits = self.stop_to_all.filter(|&it| was_stopped && self.is_same_for_all(it));
         self.stop_to_all = goes.then_some(kind).or(waits);
         result
     }
