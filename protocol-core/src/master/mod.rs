@@ -227,7 +227,7 @@ impl<const N: usize> Master<N> {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         if self.stops_again_at().is_some_and(|at| at <= now) {
-            self.stop_again(now);
+            self.stop_again();
         }
         if self.all_are_told_at().is_some_and(|at| at <= now) {
             self.for_all = ForAll::Gone;

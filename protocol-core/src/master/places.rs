@@ -101,7 +101,6 @@ impl Places {
             *of = NOBODY;
         }
         self.taken.set(place, false);
-        self.note(place, &Motor::default());
     }
 
     /// Changes the motor with this place: the only way to do it while it has that.
@@ -151,9 +150,7 @@ impl<const N: usize> Master<N> {
             self.let_line_answer();
             // What goes to all is for it, too, and not left out as called again.
             self.stop_to_all_was = None;
-            if let Some(of) = self.motors.get_mut(place) {
-                *of = Motor::default();
-            }
+            self.change_at(place, |motor, _| *motor = Motor::default());
             self.places.clear(place, motor);
         }
         is_idle

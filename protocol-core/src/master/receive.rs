@@ -74,20 +74,19 @@ impl<const N: usize> Master<N> {
             Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => {
                 Some(self.lost_master(motor, now))
             }
-            Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                self.handle_reply(motor, packet, now)
-            }
+            Channel::Reply(motor) | Channel::MotionReply(motor) => self.handle_reply(motor, packet),
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
                 let (motor, reply) = (reply.id(), AnyReply::BusId(reply));
-                let is_answer = self.answers_broadcast(motor, packet, now);
+                let is_answer = self.answers_broadcast(motor, packet);
                 is_answer.then_some(Event::BroadcastReply { motor, reply })
             }
             Channel::Command(_) | Channel::Motion(_) => None,
         }
     }
 
-    fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
+    fn handle_reply(&mut self, id: MotorId, packet: &Packet) -> Option<Event> {
+        let now = self.now;
         let mut heard = Heard {
             from: id,
             packet,
@@ -101,7 +100,7 @@ impl<const N: usize> Master<N> {
         });
         if !matches!(meaning, Some(Meaning::Feedback(..))) {
             self.due = now;
-            self.stop_who_is_back(id, now);
+            self.stop_who_is_back(id);
         }
         match meaning.unwrap_or(Meaning::Unasked { is_doubled: false }) {
             Meaning::Feedback(reply, round_trip) => {
@@ -128,14 +127,12 @@ impl<const N: usize> Master<N> {
                 None
             }
             Meaning::OfBroadcast => {
-                let is_answer = self.answers_broadcast(id, packet, now);
+                let is_answer = self.answers_broadcast(id, packet);
                 let reply = AnyReply::decode(packet, self.config.firmware).ok();
                 reply.filter(|_| is_answer).map(|reply| Event::BroadcastReply { motor: id, reply })
             }
             Meaning::Late => Some(self.handle_late(id, packet)),
-            Meaning::Unasked { is_doubled } => {
-                Some(self.handle_unasked(id, packet, now, is_doubled))
-            }
+            Meaning::Unasked { is_doubled } => Some(self.handle_unasked(id, packet, is_doubled)),
         }
     }
 
@@ -151,7 +148,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether this reply of `motor` answers the broadcast.
-    fn answers_broadcast(&mut self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
+    fn answers_broadcast(&mut self, motor: MotorId, packet: &Packet) -> bool {
         let data = &packet.data;
         // What a drive has ignored that has lost its master is no answer.
         let (kind, command) = self.broadcast.command();
@@ -164,7 +161,7 @@ impl<const N: usize> Master<N> {
             return false;
         }
         let shortest = self.config.shortest_response;
-        let taken = self.broadcast.take_reply(motor, packet, shortest, now);
+        let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
         let Some(is_answer) = taken else { return false };
         // Also of one that is over: the same once more answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
@@ -179,13 +176,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// An answer to the broadcast, a report, or anything else that nobody waits for.
-    fn handle_unasked(
-        &mut self,
-        id: MotorId,
-        packet: &Packet,
-        now: Instant,
-        is_doubled: bool,
-    ) -> Event {
+    fn handle_unasked(&mut self, id: MotorId, packet: &Packet, is_doubled: bool) -> Event {
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if packet.is_motion() {
             return self.stray(id, &packet.data);
@@ -193,7 +184,7 @@ impl<const N: usize> Master<N> {
         let Ok(reply) = AnyReply::decode(packet, self.config.firmware) else {
             return self.stray(id, &packet.data);
         };
-        if !is_doubled && self.answers_broadcast(id, packet, now) {
+        if !is_doubled && self.answers_broadcast(id, packet) {
             return Event::BroadcastReply { motor: id, reply };
         }
         let bit = Opcode::from_byte(packet.data[0]).map_or(0, reported_bit);
@@ -203,7 +194,7 @@ impl<const N: usize> Master<N> {
             (Some(_), AnyReply::ReadStatus1(_)) => {
                 !self.broadcast.may_be_mistaken(packet.data[0], id)
             }
-            (Some(motor), _) => motor.reports(bit, now),
+            (Some(motor), _) => motor.reports(bit, self.now),
             (None, _) => bit != 0,
         };
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }

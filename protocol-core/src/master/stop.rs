@@ -202,30 +202,30 @@ impl<const N: usize> Master<N> {
 
     /// Whoever has not confirmed a stop that is in force gets it once more when it is time: on a cable that is mended
     /// it would turn on.
-    pub(super) fn stop_again(&mut self, now: Instant) {
+    pub(super) fn stop_again(&mut self) {
         let rest = self.rest_before_next_stop();
         for place in self.places.taken.iter() {
-            self.stop_once_more(place, rest, now);
+            self.stop_once_more(place, rest);
         }
     }
 
     /// Who is heard with a stop in force that it has not confirmed is back: it gets that at once, before anybody asks it
     /// anything more.
     #[inline(never)]
-    pub(super) fn stop_who_is_back(&mut self, motor: MotorId, now: Instant) {
+    pub(super) fn stop_who_is_back(&mut self, motor: MotorId) {
         let Some(place) = self.places.of(motor) else { return };
         // What was asked is answered first. Who goes on answering that, and no stop, leaves others half of the time.
         if self.motors.get(place).is_some_and(|motor| motor.request.is_none()) {
-            self.stop_once_more(place, self.stop_timeout(), now);
+            self.stop_once_more(place, self.stop_timeout());
         }
     }
 
     /// The motor at this place gets the stop that it has not confirmed once more, if it has rested for so long. Inlined:
     /// firmware that calls it takes more flash.
     #[inline(always)]
-    fn stop_once_more(&mut self, place: usize, rest: Duration, now: Instant) {
+    fn stop_once_more(&mut self, place: usize, rest: Duration) {
         let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
-        if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
+        if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= self.now) {
             self.let_line_answer();
             self.put_stop(motor, kind, Purpose::StopAgain);
         }
@@ -344,8 +344,9 @@ impl<const N: usize> Master<N> {
 
     /// The stop to all was sent.
     #[inline(never)]
-    pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
+    pub(super) fn stop_to_all_was_sent(&mut self) {
         let Some(kind) = self.stop_to_all.take() else { return };
+        let now = self.now;
         self.is_any_off_since = false;
         self.stop_to_all_sent = now;
         self.stop_to_all_was = Some(kind);

@@ -167,7 +167,7 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::StopToAll => {
-                self.stop_to_all_was_sent(now);
+                self.stop_to_all_was_sent();
                 silence = self.config.settle_time;
             }
             Offer::Status(place) => {
