@@ -348,18 +348,19 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
         let distance = angle.raw().abs_diff(target.raw());
         let tolerance = limits.tolerance.raw().unsigned_abs();
-        if distance <= tolerance && feedback.speed.raw() == 0 {
-            return Ok(progress);
-        }
+        let has_arrived = distance <= tolerance && feedback.speed.raw() == 0;
         last_turn.note(feedback.speed, now);
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
-        // An error may be why it comes no nearer, and have come just now.
-        if looks % ERRORS_EVERY == 0 || has_stalled || is_time_up {
+        // An error may have come just now: then it holds nothing where it stands, or comes no nearer for that.
+        if looks % ERRORS_EVERY == 0 || has_arrived || has_stalled || is_time_up {
             let errors = bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?.errors;
             if !errors.is_empty() {
                 return Err(MoveFailure::Fault(errors));
             }
+        }
+        if has_arrived {
+            return Ok(progress);
         }
         if on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
