@@ -308,11 +308,10 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     if !errors.is_empty() {
         return Err(MoveFailure::Fault(errors));
     }
-    let at = bus.now();
     let ran = bus.ask(motor, ReadRunTime).await?.run_time.into();
     let begun = bus.now();
     let from = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
-    let mut last = Look { at, angle: from, dps: 0 };
+    let mut last = Look { at: begun, angle: from, dps: 0 };
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };

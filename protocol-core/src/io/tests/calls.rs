@@ -295,7 +295,7 @@ fn a_zero_that_reads_otherwise_is_not_kept() {
 }
 
 /// A bus on which something else is said.
-struct Says<F>(TestCan, F);
+pub(super) struct Says<F>(pub(super) TestCan, pub(super) F);
 
 impl<F: FnMut(&mut Data)> nb::Can for Says<F> {
     type Frame = SimpleFrame;
@@ -313,10 +313,10 @@ impl<F: FnMut(&mut Data)> nb::Can for Says<F> {
     }
 }
 
-type Saying<F> = (TestCan, CanMaster<Says<F>, TestClock, 4>);
+pub(super) type Saying<F> = (TestCan, CanMaster<Says<F>, TestClock, 4>);
 
 /// What is heard is changed so.
-fn says<F: FnMut(&mut Data)>(change: F) -> Saying<F> {
+pub(super) fn says<F: FnMut(&mut Data)>(change: F) -> Saying<F> {
     let (bus, _, arm) =
         on_can(|bus, clock, config| CanMaster::new(Says(bus, change), clock, config));
     (bus, arm)

@@ -1,57 +1,31 @@
-//! Watched moves: what ends them.
+//! Watched moves: what ends them, in both kinds of loop, and through a handle to one.
 
 use core::future::poll_fn;
 use core::ops::ControlFlow;
 
-use embedded_can::{Frame as _, nb};
+use embedded_can::nb;
 
-use super::id;
-use super::world::{Broken, TestCan, block_on, on_can, pending};
-use crate::command::{AbsolutePosition, ErrorFlags};
-use crate::io::async_bring_up::move_to;
-use crate::io::bring_up::{self, MoveFailure, MoveLimits};
-use crate::io::{AsyncCan, AsyncCanMaster, CanMaster};
-use crate::opcode::Opcode;
+use super::calls::{Says, says};
+use super::world::{Broken, TestCan, TestClock, block_on, on_can, pending};
+use super::{id, step};
+use crate::Data;
+use crate::command::{AbsolutePosition, Command, ErrorFlags};
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::io::async_bring_up::{Calls, move_to};
+use crate::io::bring_up::{self, MoveFailure, MoveLimits, MoveProgress};
+use crate::io::{AsyncCan, AsyncCanMaster, CallError};
+use crate::master::StopKind;
+use crate::time::Instant;
 use crate::units::{Angle, MaxSpeed};
 use crate::wire::can::SimpleFrame;
 
-/// A bus whose motors come nearer, to 360 degrees, and then report an error.
-#[derive(Clone, Debug)]
-struct Faulty {
-    can: TestCan,
-    /// So often a motor is read short of 360 degrees yet.
-    is_short: u8,
-    /// So many statuses say yet that there is no error.
-    is_well: u8,
-}
-
-impl nb::Can for Faulty {
-    type Frame = SimpleFrame;
-    type Error = Broken;
-
-    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
-        nb::Can::transmit(&mut self.can, frame)
-    }
-
-    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
-        let frame = nb::Can::receive(&mut self.can)?;
-        let mut data: [u8; 8] = frame.data().try_into().unwrap();
-        let next = |left: &mut u8| core::mem::replace(left, left.saturating_sub(1)) > 0;
-        match Opcode::from_byte(data[0]) {
-            Some(Opcode::ReadMultiTurnAngle) if next(&mut self.is_short) => data[5] -= 4,
-            Some(Opcode::ReadStatus1) if !next(&mut self.is_well) => data[6] = 0x04,
-            _ => {}
-        }
-        Ok(SimpleFrame::new(frame.id(), &data).unwrap())
-    }
-}
-
-impl AsyncCan for Faulty {
+impl<F: FnMut(&mut Data)> AsyncCan for Says<F> {
     type Frame = SimpleFrame;
     type Error = Broken;
 
     async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
-        AsyncCan::transmit(&mut self.can, frame).await
+        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
     }
 
     async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
@@ -59,23 +33,30 @@ impl AsyncCan for Faulty {
     }
 }
 
-/// An error that has come by the look that finds the motor at its target wins: it holds nothing there.
+fn go_on(_: &MoveProgress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// It holds nothing where it is.
 #[test]
 fn who_arrives_with_an_error_has_not_arrived() {
     let command =
         AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
     let limits = MoveLimits::default();
-    // It is looked at in any case in the first and in every fifth look.
+    // With the first look and every fifth errors are looked at in any case.
     for looks in 0_u8..=5 {
         // One angle and one status are read before the move is sent.
-        let (is_short, is_well) = (1 + looks, 1 + looks.div_ceil(5));
-        let go_on = |_: &_| ControlFlow::Continue(());
-        let (_, _, mut arm) = on_can(|can, clock, config| {
-            CanMaster::<_, _, 4>::new(Faulty { can, is_short, is_well }, clock, config)
-        });
+        let (mut short, mut well) = (1 + looks, 1 + looks.div_ceil(5));
+        let is_one_more = |left: &mut u8| core::mem::replace(left, left.saturating_sub(1)) > 0;
+        let says_so = move |data: &mut Data| match data[0] {
+            0x92 if is_one_more(&mut short) => data[5] -= 4,
+            0x9A if !is_one_more(&mut well) => data[6] = 0x04,
+            _ => {}
+        };
+        let (_, mut arm) = says(says_so);
         let polled = bring_up::move_to(&mut arm, id(1), command, &limits, go_on);
-        let (_, _, mut arm) = on_can(|can, clock, config| {
-            AsyncCanMaster::<_, _, 4>::new(Faulty { can, is_short, is_well }, clock, config)
+        let (_, _, mut arm) = on_can(|bus, clock, config| {
+            AsyncCanMaster::<_, _, 4>::new(Says(bus, says_so), clock, config)
         });
         let awaited = block_on(move_to(&mut arm, id(1), command, &limits, go_on));
         for moved in [polled, awaited] {
@@ -84,4 +65,57 @@ fn who_arrives_with_an_error_has_not_arrived() {
             assert_eq!(why, Err((fault, true)), "after {looks} looks");
         }
     }
+}
+
+/// A handle to a loop that another thread runs: nobody is told of a restart with the answer that shows it.
+struct Handle {
+    arm: AsyncCanMaster<TestCan, TestClock, 4>,
+    has_restarted: bool,
+}
+
+impl Calls<4> for Handle {
+    type Error = Broken;
+
+    fn now(&mut self) -> Instant {
+        Calls::now(&mut self.arm)
+    }
+
+    async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Broken>> {
+        self.arm.wait_until(until).await
+    }
+
+    async fn ask_often<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        attempts: Option<u8>,
+    ) -> Result<C::Reply, CallError<Broken>> {
+        self.arm.ask_often(motor, command, attempts).await
+    }
+
+    async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
+        Calls::stop(&mut self.arm, motor, kind).await
+    }
+
+    fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
+        self.arm.begin_stop(motor, kind);
+    }
+
+    fn may_move(&mut self, _: MotorId) -> Result<(), RequestError> {
+        if self.has_restarted { Err(RequestError::Restarted) } else { Ok(()) }
+    }
+
+    fn note_restart(&mut self, _: MotorId) {
+        self.has_restarted = true;
+    }
+}
+
+/// The motor stands and runs nothing, and has run for no longer than when the move began.
+#[test]
+fn who_moves_by_a_handle_finds_a_restart_out_by_himself() {
+    let (_, _, arm) = on_can(AsyncCanMaster::new);
+    let mut handle = Handle { arm, has_restarted: false };
+    let moved = block_on(move_to(&mut handle, id(1), step(), &MoveLimits::default(), go_on));
+    let restarted = CallError::refused(id(1))(RequestError::Restarted);
+    assert_eq!(moved.map_err(|it| it.why), Err(restarted.into()));
 }
