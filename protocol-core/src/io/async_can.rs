@@ -10,7 +10,7 @@ use embedded_can::{Frame, nb};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::can::CanPort;
 use crate::io::clock::AsyncClock;
-use crate::io::pump::{Pump, earlier};
+use crate::io::pump::Pump;
 use crate::io::rest::rest;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -144,8 +144,8 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
             if event.is_some() || until.is_some_and(|until| until <= now) {
                 return Ok(event);
             }
-            let wake_at = earlier(pump.wake_at(), until);
-            rest(pin!(can.receive()), received, clock, wake_at, pump.refusals.has_refused()).await;
+            let (wake_at, is_refused) = (pump.wake_at(until), pump.refusals.has_refused());
+            rest(pin!(can.receive()), received, clock, wake_at, is_refused).await;
         }
     }
 }

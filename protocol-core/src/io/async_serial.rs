@@ -10,8 +10,8 @@ use embedded_io_async::{ErrorType, Read, Write};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::clock::{AsyncClock, Clock};
 use crate::io::line::Line;
-use crate::io::pump::{Port, Pump, STUCK_AFTER, earlier};
-use crate::io::rest::{rest, wait};
+use crate::io::pump::{Port, Pump, STUCK_AFTER};
+use crate::io::rest::rest;
 use crate::io::runner::LONGEST_IDLE;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -159,11 +159,12 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
                 return Ok(event);
             }
             let Self { serial, clock, pump, line, read, .. } = self;
-            let wake_at = earlier(pump.wake_at(), until);
+            let wake_at = pump.wake_at(until);
             rest(pin!(serial.read(line.space())), read, clock, wake_at, false).await;
             if let Some(Ok(0)) = read {
                 // The port is closed, for now or for good.
-                wait(clock, earlier(wake_at, Some(now + LONGEST_IDLE))).await;
+                let latest = now + LONGEST_IDLE;
+                clock.wait_until(wake_at.map_or(latest, |at| at.min(latest))).await;
             }
         }
     }

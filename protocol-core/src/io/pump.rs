@@ -95,21 +95,17 @@ impl<const N: usize> Pump<N> {
         self.master.handle_bus_down(now);
     }
 
-    /// When there is something to do again, unless something arrives first. While the bus refuses what is due, that
-    /// is when it is offered again.
-    pub(super) fn wake_at(&self) -> Option<Instant> {
-        self.refusals.retry_at().or_else(|| self.master.poll_at())
+    /// When there is something to do again, at the latest then, unless something arrives first. While the bus refuses
+    /// what is due, that is when it is offered again: hardly anything else tells when a bus takes something again.
+    pub(super) fn wake_at(&self, latest: Option<Instant>) -> Option<Instant> {
+        let retry_at = self.refusals.0.last.map(|last| last + RETRY_AFTER);
+        [retry_at.or_else(|| self.master.poll_at()), latest].into_iter().flatten().min()
     }
 
     /// Lets the clock of a loop that polls idle until then, or until there is something to do.
     pub(super) fn idle(&self, clock: &impl Clock, until: Instant) {
-        clock.idle(self.wake_at().map_or(until, |at| at.min(until)));
+        clock.idle(self.wake_at(Some(until)).unwrap_or(until));
     }
-}
-
-/// The earlier of two times of which either may be missing.
-pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
-    [a, b].into_iter().flatten().min()
 }
 
 /// For how long a bus has taken nothing of what it was offered.
@@ -134,10 +130,5 @@ impl Refusals {
 
     pub(super) const fn has_refused(&self) -> bool {
         self.0.last.is_some()
-    }
-
-    /// When it is offered that again: hardly anything else tells when a bus takes something again.
-    fn retry_at(&self) -> Option<Instant> {
-        self.0.last.map(|last| last + RETRY_AFTER)
     }
 }

@@ -42,7 +42,7 @@ pub(super) async fn rest<T>(
 }
 
 /// Waits until then; for ever without an end.
-pub(super) async fn wait(clock: &mut impl AsyncClock, until: Option<Instant>) {
+async fn wait(clock: &mut impl AsyncClock, until: Option<Instant>) {
     match until {
         Some(until) => clock.wait_until(until).await,
         None => core::future::pending().await,
