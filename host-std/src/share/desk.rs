@@ -97,14 +97,18 @@ impl<E> Desk<E> {
         Ok(())
     }
 
+    /// Lays down an order.
+    pub(super) fn order(&self, order: Order<E>) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.order(order)?;
+        self.leave(state);
+        Ok(())
+    }
+
     /// Stops all. The answer is who has not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
         let (answer, waiting) = call();
-        let mut state = self.lock();
-        state.stops_all = true;
-        state.drop_what_is_stopped(MotorSet::ALL, kind);
-        state.order(Order::StopAll { kind, also, answer })?;
-        self.leave(state);
+        self.order(Order::StopAll { kind, also, answer })?;
         Ok(waiting)
     }
 
@@ -118,48 +122,9 @@ impl<E> Desk<E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
         let kind = state.stop_kind(motor, kind, since);
-        state.stopped.insert(motor);
-        state.drop_what_is_stopped(motor.into(), kind);
         state.order(Order::Stop { motor, kind, answer })?;
         self.leave(state);
         Ok(waiting)
-    }
-
-    pub(super) fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
-        let mut state = self.lock();
-        (state.stops_all, state.stopped) = (false, MotorSet::EMPTY);
-        state.switched_off = MotorSet::EMPTY;
-        state.order(Order::LiftStop)?;
-        self.leave(state);
-        Ok(())
-    }
-
-    pub(super) fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        let mut state = self.lock();
-        state.stopped.remove(motor);
-        if !state.stops_all {
-            state.switched_off.remove(motor);
-        }
-        state.order(Order::LiftStopOf(motor))?;
-        self.leave(state);
-        Ok(())
-    }
-
-    pub(super) fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        let mut state = self.lock();
-        state.slot(motor).refusal = None;
-        state.restarted.remove(motor);
-        state.order(Order::Resume(motor))?;
-        self.leave(state);
-        Ok(())
-    }
-
-    pub(super) fn note_restart(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        let mut state = self.lock();
-        state.has_restarted(motor);
-        state.order(Order::NoteRestart(motor))?;
-        self.leave(state);
-        Ok(())
     }
 
     /// What to begin to work with a motor by.
@@ -175,18 +140,8 @@ impl<E> Desk<E> {
     /// Waits until then, on the clock of the bus. The answer is what time it is.
     pub(super) fn wait_until(&self, until: time::Instant) -> Awaited<time::Instant, E> {
         let (answer, waiting) = call();
-        let mut state = self.lock();
-        state.order(Order::Wait { until, answer })?;
-        self.leave(state);
+        self.order(Order::Wait { until, answer })?;
         Ok(waiting)
-    }
-
-    pub(super) fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        let mut state = self.lock();
-        state.restarted.remove(motor);
-        state.order(Order::Forget(motor))?;
-        self.leave(state);
-        Ok(())
     }
 
     pub(super) fn latest(&self, motor: MotorId) -> Option<Latest> {

@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
 use myactuator_protocol_core::{Command, Data, MotorId};
 
-use super::calls::{Awaited, Insistence, Untyped};
+use super::calls::{Awaited, Insistence, Order, Untyped};
 use super::desk::Desk;
 use super::state::{Latest, Past};
 use super::{SharedBusError, Subscription, worker};
@@ -327,7 +327,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
-        self.desk().lift_stop()
+        self.desk().order(Order::LiftStop)
     }
 
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor. Does not wait.
@@ -335,7 +335,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.desk().lift_stop_of(motor)
+        self.desk().order(Order::LiftStopOf(motor))
     }
 
     /// Takes set-points and moves again for a motor that [has
@@ -344,7 +344,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.desk().resume(motor)
+        self.desk().order(Order::Resume(motor))
     }
 
     /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. No stop of all
@@ -354,7 +354,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.desk().forget(motor)
+        self.desk().order(Order::Forget(motor))
     }
 
     /// The newest feedback of a motor: to its set-points, or reported by itself. `None` if there is none

@@ -71,13 +71,13 @@ pub(super) struct State<E> {
     pub(super) orders: Vec<Order<E>>,
     pub(super) questions: VecDeque<Question<E>>,
     pub(super) slots: [Slot; MotorId::COUNT],
-    pub(super) stops_all: bool,
-    pub(super) stopped: MotorSet,
+    stops_all: bool,
+    stopped: MotorSet,
     /// These were switched off by a stop that is in force: what holds does not switch them on.
-    pub(super) switched_off: MotorSet,
+    switched_off: MotorSet,
     pub(super) past: [Past; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
-    pub(super) restarted: MotorSet,
+    restarted: MotorSet,
     /// What the bus fails with, since its last round did.
     pub(super) outage: Option<Arc<E>>,
     /// An error that nobody was told yet.
@@ -217,7 +217,35 @@ impl<E> State<E> {
         }
     }
 
+    /// Takes an order, of which this is in force at once, before the thread has seen it.
     pub(super) fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
+        match order {
+            Order::StopAll { kind, .. } => {
+                self.stops_all = true;
+                self.drop_what_is_stopped(MotorSet::ALL, kind);
+            }
+            Order::Stop { motor, kind, .. } => {
+                self.stopped.insert(motor);
+                self.drop_what_is_stopped(motor.into(), kind);
+            }
+            Order::LiftStop => {
+                (self.stops_all, self.stopped) = (false, MotorSet::EMPTY);
+                self.switched_off = MotorSet::EMPTY;
+            }
+            Order::LiftStopOf(motor) => {
+                self.stopped.remove(motor);
+                if !self.stops_all {
+                    self.switched_off.remove(motor);
+                }
+            }
+            Order::Resume(motor) => {
+                self.slot(motor).refusal = None;
+                self.restarted.remove(motor);
+            }
+            Order::NoteRestart(motor) => self.has_restarted(motor),
+            Order::Forget(motor) => self.restarted.remove(motor),
+            Order::Wait { .. } => {}
+        }
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());
         }
@@ -246,7 +274,7 @@ impl<E> State<E> {
     }
 
     /// A stop drops what it refuses and is older, and what would end motion in another way.
-    pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet, by: StopKind) {
+    fn drop_what_is_stopped(&mut self, motors: MotorSet, by: StopKind) {
         let is_over = |kind: Kind| kind.is_refused_while_stopped() || kind.ends_motion();
         if by == StopKind::Off {
             motors.iter().for_each(|motor| self.switched_off.insert(motor));

@@ -14,7 +14,7 @@ use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Command, MotorId};
 
-use super::calls::Insistence;
+use super::calls::{Insistence, Order};
 use super::state::Past;
 use super::{SharedBus, SharedBusError};
 
@@ -135,7 +135,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
 
     fn note_restart(&mut self, motor: MotorId) {
         // As above.
-        let _ = self.bus.desk().note_restart(motor);
+        let _ = self.bus.desk().order(Order::NoteRestart(motor));
     }
 }
 

@@ -110,7 +110,7 @@ fn nothing_older_than_a_stop_outlives_it() {
     let refused = desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap_err();
     tells(&refused, 1, RequestError::Stopped);
     // Not even when it is lifted before the thread has seen it.
-    desk.lift_stop().unwrap();
+    desk.order(Order::LiftStop).unwrap();
     desk.set_point(id(1), Untyped::of(&turn(5.0))).unwrap();
     let stop_and_lift = ["stop all".to_owned(), "lift".to_owned()];
     assert_eq!(taken(&desk), [&stop_and_lift[..], &[set(1, 5.0), "2?".to_owned()]].concat());
@@ -196,7 +196,7 @@ fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
         let desk = new_desk();
         let (since, of_other) = (desk.past(id(1)), desk.past(id(2)));
         end(&desk);
-        desk.lift_stop().unwrap();
+        desk.order(Order::LiftStop).unwrap();
         let was_ended = at < 3;
         let refused = desk.ask(id(1), Untyped::of(&STEP), Insistence::Usual, Some(since)).err();
         assert_eq!(refused.is_some(), was_ended, "{at}");
@@ -286,7 +286,7 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     assert!(is_refused(desk.wait(moving).unwrap_err()));
     assert!(is_refused(desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap_err()));
     assert!(is_refused(desk.wait(ask(&desk, 1, goal)).unwrap_err()));
-    desk.resume(id(1)).unwrap();
+    desk.order(Order::Resume(id(1))).unwrap();
     desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap();
     assert_eq!(
         taken(&desk),
@@ -294,12 +294,12 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     );
     // One that is forgotten may be another when it is asked again.
     desk.has_restarted(id(2));
-    desk.forget(id(2)).unwrap();
+    desk.order(Order::Forget(id(2))).unwrap();
     desk.set_point(id(2), Untyped::of(&turn(6.0))).unwrap();
     assert_eq!(taken(&desk), ["forget 2".to_owned(), set(2, 6.0), "1?".to_owned()]);
     // Who has found a restart out need not wait until the bus says so.
     desk.set_point(id(2), Untyped::of(&turn(7.0))).unwrap();
-    desk.note_restart(id(2)).unwrap();
+    desk.order(Order::NoteRestart(id(2))).unwrap();
     assert_eq!(desk.may_move(id(2), desk.past(id(2))), Err(RequestError::Restarted));
     assert_eq!(taken(&desk), ["restart 2", "1?"]);
     drop(reading);
@@ -347,7 +347,11 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         ),
         (
             |desk| {
-                drop((desk.stop(id(1), StopKind::Off, None), desk.lift_stop(), ask(desk, 1, Stop)))
+                drop((
+                    desk.stop(id(1), StopKind::Off, None),
+                    desk.order(Order::LiftStop),
+                    ask(desk, 1, Stop),
+                ))
             },
             "Hold",
         ),
@@ -373,7 +377,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
 #[test]
 fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
     let desk = new_desk();
-    desk.resume(id(1)).unwrap();
+    desk.order(Order::Resume(id(1))).unwrap();
     desk.has_restarted(id(1));
     assert_eq!(taken(&desk), ["resume 1"]);
     assert!(desk.set_point(id(1), Untyped::of(&turn(1.0))).is_ok());
