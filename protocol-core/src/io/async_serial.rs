@@ -8,8 +8,9 @@ use embassy_futures::select::{Either, select};
 use embedded_io_async::{ErrorType, Read, Write};
 
 use crate::io::async_runner::AsyncRunner;
-use crate::io::clock::{AsyncClock, Clock};
+use crate::io::clock::AsyncClock;
 use crate::io::line::Line;
+use crate::io::on_drop::OnDrop;
 use crate::io::pump::{Port, Pump, STUCK_AFTER};
 use crate::io::rest::rest;
 use crate::io::runner::LONGEST_IDLE;
@@ -72,13 +73,21 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
     async fn send(&mut self, bytes: &[u8; FRAME_LENGTH]) -> Result<(), S::Error> {
         self.unflushed = true;
         let Self { serial, clock, pump, line, .. } = self;
-        let (until, master) = (clock.now() + STUCK_AFTER, &mut pump.master);
-        let mut sending = Sending { master, line, clock, bytes, rest: bytes, is_refused: false };
-        let patience = sending.clock.wait_until(until);
-        let outcome = select(write(serial, &mut sending.rest), patience).await;
+        let until = clock.now() + STUCK_AFTER;
+        // It counts as sent also when this future is dropped: some of it may have left, and nothing is sent twice.
+        let mut sending = OnDrop::new(
+            (&mut pump.master, line, clock, bytes.as_slice()),
+            |(master, line, clock, rest): &mut (&mut Master<N>, &mut Line, &mut K, &[u8])| {
+                line.was_taken(master, bytes, rest, clock.now());
+            },
+        );
+        let (_, _, clock, rest) = &mut sending.it;
+        let outcome = select(write(serial, rest), clock.wait_until(until)).await;
         // What the port has taken may be heard, and answered, whatever fails then.
-        sending.is_refused = sending.rest.len() == bytes.len();
-        drop(sending);
+        match rest.len() < bytes.len() {
+            true => drop(sending),
+            false => sending.end(),
+        }
         let is_taken = match outcome {
             Either::First(taken) => taken,
             Either::Second(()) => Ok(false),
@@ -116,26 +125,6 @@ async fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Er
     }
     serial.flush().await?;
     Ok(true)
-}
-
-/// A frame that leaves. It counts as sent also when the future that sends it is dropped: some of it may have
-/// left, and nothing is sent twice.
-struct Sending<'a, K: Clock, const N: usize> {
-    master: &'a mut Master<N>,
-    line: &'a mut Line,
-    clock: &'a mut K,
-    bytes: &'a [u8; FRAME_LENGTH],
-    /// What the port has not taken yet.
-    rest: &'a [u8],
-    is_refused: bool,
-}
-
-impl<K: Clock, const N: usize> Drop for Sending<'_, K, N> {
-    fn drop(&mut self) {
-        if !self.is_refused {
-            self.line.was_taken(self.master, self.bytes, self.rest, self.clock.now());
-        }
-    }
 }
 
 impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSerialMaster<S, K, N> {

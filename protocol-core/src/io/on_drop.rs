@@ -12,7 +12,7 @@ impl<T, F: Fn(&mut T)> OnDrop<T, F> {
         Self { it, act }
     }
 
-    /// The work has come to its end, so that nothing is done.
+    /// Nothing is done to it.
     pub(super) fn end(self) {
         core::mem::forget(self);
     }
