@@ -63,9 +63,10 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
     let (mut waiting, mut asked) = (candidates, MotorSet::EMPTY);
-    // Why no more are asked, and until when the answers of who was asked are waited for: nobody else takes back the
-    // places of ids without a motor.
+    // Why no more are asked. The answers of who was asked are waited for all the same: nobody else takes back the places
+    // of ids without a motor.
     let mut given_up = None;
+    // Until when, and until when somebody who is busy is waited for while nobody is asked.
     let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
@@ -87,23 +88,23 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
             }
         }
         let soon = runner.now() + LONGEST_IDLE;
-        if !asked.is_empty() {
+        let outcome = runner.run(Some(soon)).await;
+        if given_up.is_none() && !asked.is_empty() {
             turn_ends = runner.now() + LONGEST_TURN;
         }
-        let event = match runner.run(Some(soon)).await {
+        let event = match outcome {
             Ok(event) => event,
             Err(error) => {
-                given_up.get_or_insert((CallError::Bus(error), runner.now() + LONGEST_TURN));
+                given_up.get_or_insert(CallError::Bus(error));
                 runner.master().poll_event()
             }
         };
         if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {
-            let why = CallError::Failed { motor: ticket.motor(), failure };
-            given_up.get_or_insert((why, runner.now() + LONGEST_TURN));
+            given_up.get_or_insert(CallError::Failed { motor: ticket.motor(), failure });
         }
-        if let Some((_, end)) = &given_up {
+        if given_up.is_some() {
             waiting = MotorSet::EMPTY;
-            if *end <= runner.now() {
+            if turn_ends <= runner.now() {
                 break;
             }
         }
@@ -130,10 +131,7 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
             }
         }
     }
-    match given_up {
-        Some((why, _)) => Err(why),
-        None => Ok(()),
-    }
+    given_up.map_or(Ok(()), Err)
 }
 
 /// Whether there is a motor that was asked in vain: it has said something.
