@@ -68,8 +68,8 @@ pub trait AsyncCan {
     ///
     /// It is polled once, and dropped if it is not done then: the controller takes nothing. A frame whose future
     /// was dropped must not have been taken: it is offered again, unless something more urgent is, when the
-    /// task is woken, which a controller that has room again does at best, or after a millisecond. A controller that needs more than one poll to take a frame,
-    /// behind SPI for example, gets a task of its own and a channel.
+    /// task is woken, which a controller that has room again does at best, or after a millisecond. A controller that
+    /// needs more than one poll to take a frame, behind SPI for example, gets a task of its own and a channel.
     async fn transmit(&mut self, frame: &Self::Frame) -> Result<Option<Self::Frame>, Self::Error>;
 
     /// The next frame from the bus.

@@ -133,12 +133,8 @@ pub trait AsyncRunner<const N: usize> {
         self.master().stop(motor, kind).is_ok() && unconfirmed(self, motor.into()).await.is_empty()
     }
 
-    /// Stops all motors and waits until each has confirmed, or not; see
-    /// [`Runner::stop_all`](crate::io::Runner::stop_all). Gives those that have not: **cut their
-    /// power**.
-    ///
-    /// The stop is in force with the first poll of this future, and goes on with any other future of
-    /// this loop if this one is dropped.
+    /// As [`Runner::stop_all`](crate::io::Runner::stop_all). The stop is in force with the first poll of this future, and
+    /// goes on with any other future of this loop if this one is dropped.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         // Those that the master has no place for are not stopped, and stay unconfirmed.
