@@ -318,7 +318,8 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     Err(fails)
 }
 
-/// Whether its drive has started since then, when it had run for so long.
+/// Whether its drive has started since then, when it had run for so long. The master concludes from the same answer what
+/// it can, but a handle hears of that later than of the answer, and whether a drive has obeyed 0x76 it does not ask.
 pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
