@@ -25,6 +25,7 @@ impl Clerk<CanError> for Notes {
             Order::StopAll { .. } => "stop all".to_owned(),
             Order::Stop { motor, kind, .. } => format!("stop {motor}: {kind:?}"),
             Order::LiftStop => "lift".to_owned(),
+            Order::LiftStopOf(motor) => format!("lift {motor}"),
             Order::Resume(motor) => format!("resume {motor}"),
             Order::Forget(motor) => format!("forget {motor}"),
             Order::NoteRestart(motor) => format!("restart {motor}"),
@@ -326,7 +327,7 @@ fn a_set_point_that_waits_behind_what_ends_motion_is_as_old_as_when_it_was_found
 #[test]
 fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
     type End = fn(&Desk<CanError>);
-    let ends: [(End, &str); 11] = [
+    let ends: [(End, &str); 13] = [
         (|desk| drop(ask(desk, 1, Shutdown)), "Off"),
         (|desk| drop(ask(desk, 1, Reset)), "Off"),
         (|desk| drop(desk.stop_all(StopKind::Off, MotorSet::EMPTY)), "Off"),
@@ -354,6 +355,27 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
                 ))
             },
             "Hold",
+        ),
+        // That of one motor is lifted alone, and not that of all.
+        (
+            |desk| {
+                drop((
+                    desk.stop(id(1), StopKind::Off, None),
+                    desk.order(Order::LiftStopOf(id(1))),
+                    ask(desk, 1, Stop),
+                ))
+            },
+            "Hold",
+        ),
+        (
+            |desk| {
+                drop((
+                    desk.stop_all(StopKind::Off, MotorSet::EMPTY),
+                    desk.order(Order::LiftStopOf(id(1))),
+                    ask(desk, 1, Stop),
+                ))
+            },
+            "Off",
         ),
         // Whoever moves it by then does not have it fall.
         (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, STEP))), "Hold"),
