@@ -23,7 +23,8 @@ pub enum StopKind {
     /// needs time to stand. One that reports an error or has lost its master (0xB3), now or later, confirms it and
     /// holds nothing: where a load could fall, read its errors (0x9A) and lock a brake.
     Hold,
-    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
+    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake takes its time to
+    /// lock, some 50 to 150 ms: where a load could fall, hold it, lock the brake (0x78), and wait for that long before.
     Off,
 }
 
