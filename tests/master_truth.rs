@@ -14,8 +14,8 @@
 //!   `set_points`: what became of each. `turning`: where shafts are, and what shows of turns that are lost.
 //!   `restarts`: what else shows that a motor has restarted.
 //! - `bounds`: how long anything may take at the most, and what time counts for it. `watch`: that it does.
-//! - `oracle`: what must hold of each event by that. `excuses`: what no master can know, each with its name,
-//!   noted when it happens.
+//! - `oracle`: what must hold of each event by that; `sayings`: of what a motor is told to have said.
+//! - `excuses`: what no master can know, each with its name, noted when it happens.
 //!
 //! Frames carry tokens, so that each reply says which command it was made for. A run that fails says its
 //! seed. `MASTER_TRUTH_SEED=N cargo test -p myactuator-tests --test master_truth alone` runs that alone.
@@ -33,6 +33,7 @@ mod master_truth {
     mod oracle;
     mod restarts;
     mod runs;
+    mod sayings;
     mod scenarios;
     mod set_points;
     mod stops;

@@ -148,6 +148,7 @@ impl<W: Rough> Session<W> {
                 Ok(None) => {}
                 Err(_) => {
                     self.oracle.totals.bus_errors += 1;
+                    self.stage.book.open().failure_is_told();
                     self.stage.world.run_for(Duration::from_micros(200));
                 }
             }

@@ -4,6 +4,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::command::ReadStatus1;
 use myactuator_protocol_core::master::{Bus, Config};
+use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::names::Name;
 use super::truth::DONE;
@@ -12,13 +13,22 @@ use super::truth::DONE;
 const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
 /// So many answers without an echo show that there is none.
 const ANSWERS: u8 = 4;
+/// What comes later shows nothing: its echo is waited for no longer than 100 ms, less the steps of the clock.
+const SHOWS_WITHIN: Duration = Duration::from_millis(98);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Doubt {
     /// It was said to echo, or this is no line.
     Never,
     /// So many answers are to come yet; this was sent last of what may bring one; and what has come.
-    Open { left: u8, asked: Option<(MotorId, u8)>, come: Come },
+    Open { left: u8, asked: Option<Asked>, come: Come },
+}
+
+/// What may bring an answer that shows something: who was asked what, and when, in the world's time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Asked {
+    what: (MotorId, u8),
+    at: Instant,
 }
 
 /// What has come to reads that show an echo.
@@ -49,16 +59,16 @@ impl Doubt {
     }
 
     /// The bus has taken this.
-    pub(super) fn taken(&mut self, motor: MotorId, name: Name) {
+    pub(super) fn taken(&mut self, motor: MotorId, name: Name, world: Instant) {
         if let Self::Open { asked, come, .. } = self
             && NEVER_LIKE_THEIR_REPLY.contains(&name.byte)
         {
-            (*asked, come.echo) = (Some((motor, name.byte)), None);
+            (*asked, come.echo) = (Some(Asked { what: (motor, name.byte), at: world }), None);
         }
     }
 
     /// This has come, from a drive or from the adapter.
-    pub(super) fn delivered(&mut self, motor: MotorId, packet: &Packet) {
+    pub(super) fn delivered(&mut self, motor: MotorId, packet: &Packet, world: Instant) {
         let byte = packet.data[0];
         if matches!(byte, 0x76 | 0xB6) {
             // No drive answers these.
@@ -73,8 +83,9 @@ impl Doubt {
             *come = Come { echo: Some((motor, byte)), without: 0 };
             return;
         }
-        let was_asked = asked.take_if(|asked| *asked == (motor, byte)).is_some();
-        *left = left.saturating_sub(was_asked.into());
+        let answered = asked.take_if(|asked| asked.what == (motor, byte));
+        let is_soon = answered.is_some_and(|asked| world - asked.at <= SHOWS_WITHIN);
+        *left = left.saturating_sub(is_soon.into());
         // Behind its echo it shows nothing more.
         let has_echoed = come.echo.take_if(|echo| *echo == (motor, byte)).is_some();
         come.without = come.without.saturating_add((!has_echoed).into());

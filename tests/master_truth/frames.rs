@@ -49,8 +49,9 @@ impl Truth {
 
     fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
         let (name, now) = (Name::of(packet), self.now);
-        self.doubt.taken(motor, name);
+        self.doubt.taken(motor, name, self.world);
         if shows_echo(packet) {
+            self.page(motor).asked_for_echo_at = now;
             if !self.doubt.is_open() {
                 self.breaks(format!("motor {motor} is asked for an echo of which all is known"));
             }
@@ -250,10 +251,11 @@ impl Truth {
         let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
         let may_pass_for_echo = self.doubt.is_open() && !has_values(name.byte);
-        self.doubt.delivered(motor, packet);
+        self.doubt.delivered(motor, packet, self.world);
         let is_misled = self.echoes && self.doubt.is_misled();
         let page = self.page(motor);
-        let is_lost_master = packet.data[0] == 0xF1;
+        // Not in motion mode, whose first byte is an id.
+        let is_lost_master = name.byte == 0xF1;
         // What may pass for an echo need not be taken for one.
         page.unanswered = 0;
         if page.answers == Answers::Never {
@@ -276,7 +278,10 @@ impl Truth {
             page.excuses.note(question, Excuse::EchoesTaken, now, window);
         }
         if name == SHOWS_ECHO {
-            // Nobody has asked that is told the answer.
+            // Nobody has asked that is told the answer, unless it comes when nobody expects it any more.
+            if now - page.asked_for_echo_at > window {
+                page.excuses.note(question, Excuse::HeldBack, now, window);
+            }
         } else if name.is_strangers() {
             page.excuses.note(question, Excuse::AnotherMaster, now, window);
         } else if name.token & 0xFF00_0000 == REPORTS {

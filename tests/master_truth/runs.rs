@@ -125,6 +125,28 @@ fn what_once_broke() {
     once::<Rs485Line>(10_035);
 }
 
+fn as_drawn<W: Rough>(seed: u64) {
+    run::<W>(Scenario::drawn::<W>(seed, DRAWN_REQUESTS));
+}
+
+#[test]
+fn what_broke_later() {
+    // Two motors of one id answer each other every millisecond, and the clock has steps as long: it is never seen that
+    // the line is free, and still nobody waits for longer than anything may take.
+    as_drawn::<Rs485Line>(300_309);
+    as_drawn::<Rs485Line>(3_004);
+    // A stop that may be under way already is called again as one of the other kind: it has all its attempts.
+    as_drawn::<Rs485Line>(9_194);
+    // What comes long after a read of the status does not answer that, and shows nothing of an echo.
+    as_drawn::<Rs485Line>(5_123);
+    // Nobody has looked for an hour when the loop's own question is answered.
+    as_drawn::<Rs485Line>(71_135);
+    // Noise that looks like a reply in motion mode begins as if the drive had lost its master.
+    as_drawn::<CanBus>(1_140);
+    // A port has failed when a task was dropped, and all are told to end their motion before its next round.
+    as_drawn::<CanBus>(500_942);
+}
+
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.
 #[test]
 fn alone() {

@@ -52,7 +52,7 @@ impl Truth {
             taken: 0,
             held: MotorSet::EMPTY,
             off: MotorSet::EMPTY,
-            may_be_dropped: false,
+            may_be_dropped: self.failure_is_kept,
             is_over: false,
         });
         if !name.moves() && !name.is_ending() {
@@ -187,12 +187,20 @@ impl Truth {
             let is_again = std::mem::replace(&mut page.is_stopped, true);
             // Nothing moves it before that is over, whether it was lifted or not.
             let goes_on = page.is_stopping && page.stop.byte == byte;
-            let is_unsure = page.may_be_stopping || !page.other_stops.is_empty();
+            let stop = Name { byte, token: 0 };
+            // What may be under way goes on, but not as a stop of another kind.
+            let others = page.other_stops.iter();
+            let is_unsure = (page.may_be_stopping || others.len() > 0)
+                && others.chain([&page.stop]).any(|other| other.byte == byte);
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
                 // Unless it is over, and nobody was told yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
+                if page.stop.byte != byte {
+                    page.other_stops.push(page.stop);
+                    page.stop = stop;
+                }
             } else if !goes_on {
-                self.begin_stop(motor, Name { byte, token: 0 }, is_again);
+                self.begin_stop(motor, stop, is_again);
             }
         }
     }

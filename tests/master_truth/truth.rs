@@ -52,6 +52,8 @@ pub(crate) struct Page {
     /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
+    /// When the loop last asked it for what shows an echo.
+    pub(super) asked_for_echo_at: Instant,
     /// The last one was answered in time.
     pub(super) answered_newest: bool,
     pub(super) newest_set_point: u32,
@@ -147,6 +149,9 @@ pub(crate) struct Truth {
     pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
+    /// It has failed, and a task that was dropped then may have kept that for its next round: what is put before that
+    /// may be dropped in it.
+    pub(super) failure_is_kept: bool,
     pub(super) clocks: Clocks,
     /// When the bus last did not take what it was given though it had place, and when it took anything; in the world's
     /// time.
@@ -202,6 +207,7 @@ impl Book {
             offers: Offers::new(config),
             stop_to_all: StopToAll::default(),
             failures: 0,
+            failure_is_kept: false,
             clocks: Clocks::default(),
             bus_failed_at: None,
             bus_took_at: Instant::ZERO,
@@ -289,12 +295,16 @@ impl Truth {
     /// A caller has given this to the master.
     pub(crate) fn put(&mut self, motor: MotorId, channel: Channel, data: &Data) {
         let (put, now, max_age) = (self.next_moment(), self.now, self.set_point_max_age);
+        let failure_is_kept = self.failure_is_kept;
         let name = Name::of(&Packet { channel, data: *data });
         let page = self.page(motor);
         page.sendings.entry(name).or_default().put = put;
         if name.is_set_point() {
             page.set_points.put(name.token, now, max_age);
             page.set_points.put_at = put;
+            if failure_is_kept {
+                page.set_points.may_be_dropped();
+            }
         } else if name.is_ending() {
             page.set_points.may_be_dropped();
         }
@@ -334,6 +344,18 @@ impl Truth {
         self.what_all_were_told_may_be_dropped();
         self.failures += 1;
         self.doubt.port_has_failed();
+    }
+
+    /// It has failed in what it was to receive.
+    pub(crate) fn receiving_has_failed(&mut self) {
+        self.port_has_failed();
+        self.bus_has_failed();
+        self.failure_is_kept = true;
+    }
+
+    /// The loop has told of a failure: it keeps none.
+    pub(crate) fn failure_is_told(&mut self) {
+        self.failure_is_kept = false;
     }
 
     /// The port is full: that says something of the bus only if it goes on for long.

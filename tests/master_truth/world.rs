@@ -211,9 +211,7 @@ impl nb::Can for RoughCan {
             self.arrived.push_back((delivery, frame));
         }
         if let Some(error) = with(&self.manner, Manner::fails) {
-            let mut truth = self.book.open();
-            truth.port_has_failed();
-            truth.bus_has_failed();
+            self.book.open().receiving_has_failed();
             return Err(::nb::Error::Other(error));
         }
         let next = self.arrived.pop_front_if(|(at, _)| *at <= now);
@@ -258,9 +256,7 @@ fn frame_of(buf: &[u8]) -> Option<Packet> {
 impl RoughSerial {
     fn fails(&mut self) -> Result<(), RoughError> {
         let Some(error) = with(&self.manner, Manner::fails) else { return Ok(()) };
-        let mut truth = self.book.open();
-        truth.port_has_failed();
-        truth.bus_has_failed();
+        self.book.open().receiving_has_failed();
         Err(error)
     }
 
