@@ -41,6 +41,8 @@ pub(crate) struct Told {
     pub(crate) unanswered: u64,
     pub(crate) strays: u64,
     lost_master: u32,
+    /// So many set-points seemed ignored, since an echo passed for what their drive hands back.
+    seemed_ignored: u32,
     /// When it was told last to have restarted.
     restarted: u64,
 }
@@ -161,6 +163,7 @@ impl Oracle {
                 // A drive that has lost its master answers the first command, and has ignored it.
                 if is_echo {
                     page.set_points.seemed_ignored();
+                    self.told[motor.index()].seemed_ignored += 1;
                 }
                 if !page.set_points.unanswered() && page.lost_master_delivered == 0 {
                     truth.breaks(format!("{event:?}, and all were answered"));
@@ -328,7 +331,7 @@ impl Oracle {
         // A set-point that was ignored counts as unanswered, and is not lost. So does one that may be what was: the
         // drive may have ignored the one before, or what another master has told it.
         let heard = page.sendings.values().map(|sending| sending.ignored);
-        let ignored = heard.sum::<u32>() + told.lost_master;
+        let ignored = heard.sum::<u32>() + told.lost_master + told.seemed_ignored;
         let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
         // Counters stay at their largest value.
         let most = u64::from(u16::MAX);

@@ -141,6 +141,8 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(5_123);
     // Nobody has looked for an hour when the loop's own question is answered.
     as_drawn::<Rs485Line>(71_135);
+    // Noise has taken four echoes in a row, and then echoes of set-points say that these were ignored: none is lost.
+    as_drawn::<Rs485Line>(700_335);
     // Noise that looks like a reply in motion mode begins as if the drive had lost its master.
     as_drawn::<CanBus>(1_140);
     // A port has failed when a task was dropped, and all are told to end their motion before its next round.
