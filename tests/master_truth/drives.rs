@@ -18,6 +18,7 @@ use myactuator_tests::wire::Wire;
 
 use super::names::{REPORTS, STRANGER_MARK, STRANGERS, has_angle, has_values, is_asking};
 use super::restarts::WRAPS_MS;
+use super::scenarios::Scenario;
 use super::truth::{Book, DONE};
 use super::turning::Shaft;
 
@@ -183,7 +184,7 @@ impl<W> Drive<W> {
         let mut data = *command;
         match channel {
             Channel::MotionReply(motor) => {
-                data = [motor.get(), command[0], command[1], DONE, 0, 0, 0, 0];
+                data = [motor.get(), command[0], command[1], DONE, 0, command[7], 0, 0];
             }
             _ if command[0] == 0xB1 => {
                 let run_time = (self.ran_ms + (now - self.booted).as_millis()) as u32;
@@ -244,7 +245,7 @@ impl<W: Wire> Node<W::Frame> for Drive<W> {
     }
 }
 
-/// Another master, which asks the first motor now and then, sometimes stops it, and may move it.
+/// Another master, which asks the first motor now and then, sometimes stops it, and may move it; or any motor.
 pub(crate) struct Stranger<W> {
     wire: PhantomData<W>,
     dice: Dice,
@@ -253,13 +254,31 @@ pub(crate) struct Stranger<W> {
     motor: MotorId,
     /// Decides when it moves it, if it does.
     moves: Option<Dice>,
+    /// Decides which motor is next of so many, and whether in motion mode, if it does so with any.
+    roams: Option<(Dice, u8)>,
 }
 
-impl<W> Stranger<W> {
-    pub(crate) fn new(motor: MotorId, seed: u64, moves: bool) -> Self {
-        let next = Instant::from_micros(2_000);
-        let moves = moves.then(|| Dice::new(seed ^ 0x50BE));
-        Self { wire: PhantomData, dice: Dice::new(seed), next, asked: 0, motor, moves }
+impl<W: Wire> Stranger<W> {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let Scenario { seed, motors, conditions, .. } = *scenario;
+        Self {
+            wire: PhantomData,
+            dice: Dice::new(seed),
+            next: Instant::from_micros(2_000),
+            asked: 0,
+            motor: MotorId::MIN,
+            moves: conditions.stranger_moves.then(|| Dice::new(seed ^ 0x50BE)),
+            roams: conditions.stranger_roams.then(|| (Dice::new(seed ^ 0x7A3D), motors)),
+        }
+    }
+
+    /// It goes on to another motor. Gives whether it moves that in motion mode.
+    fn roam(&mut self) -> bool {
+        let Some((dice, motors)) = &mut self.roams else { return false };
+        let next = MotorId::new(dice.below(u64::from(*motors)) as u8 + 1);
+        self.motor = next.unwrap_or(MotorId::MIN);
+        let is_motion = dice.below(6) == 0;
+        is_motion && self.moves.is_some() && W::NAME == "CAN"
     }
 
     /// What moves it, if it is time for that.
@@ -301,7 +320,14 @@ impl<W: Wire> Node<W::Frame> for Stranger<W> {
             _ => with_token(Stop, token).encode(),
         };
         let data = self.motion().unwrap_or(data);
-        Some(W::frame(&Packet { channel: Channel::Command(self.motor.into()), data }))
+        let packet = if self.roam() {
+            let [high, low] = (self.asked as u16).to_be_bytes();
+            let data = [high, low, 0, 0, 0, 0, 0, STRANGER_MARK];
+            Packet { channel: Channel::Motion(self.motor), data }
+        } else {
+            Packet { channel: Channel::Command(self.motor.into()), data }
+        };
+        Some(W::frame(&packet))
     }
 
     fn poll_at(&self) -> Option<Instant> {

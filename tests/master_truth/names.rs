@@ -9,7 +9,7 @@ pub(crate) const REQUESTS: u32 = 0x0100_0000;
 pub(crate) const REPORTS: u32 = 0x3D00_0000;
 /// Tokens of another master.
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
-/// Marks its set-points, whose token comes back in half.
+/// Marks its set-points, whose token comes back in half: in motion mode as the end of the torque.
 pub(crate) const STRANGER_MARK: u8 = 9;
 
 /// What tells one command and its replies from all others of a motor.
@@ -27,6 +27,12 @@ impl Name {
     pub(crate) fn of(packet: &Packet) -> Self {
         let d = &packet.data;
         let (byte, token) = match (packet.channel, d[0]) {
+            (Channel::Motion(_), _) if d[7] == STRANGER_MARK => {
+                (0, STRANGERS | u32::from(u16::from_be_bytes([d[0], d[1]])))
+            }
+            (Channel::MotionReply(_), _) if d[5] == STRANGER_MARK => {
+                (0, STRANGERS | u32::from(u16::from_be_bytes([d[1], d[2]])))
+            }
             (Channel::Motion(_), _) => (0, u32::from(u16::from_be_bytes([d[0], d[1]]))),
             (Channel::MotionReply(_), _) => (0, u32::from(u16::from_be_bytes([d[1], d[2]]))),
             // The reply's value lies where the others have their token.

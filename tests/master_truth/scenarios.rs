@@ -97,6 +97,8 @@ pub(crate) struct Conditions {
     pub(crate) stranger: bool,
     /// And moves it.
     pub(crate) stranger_moves: bool,
+    /// And does so with any motor; on CAN in motion mode, too.
+    pub(crate) stranger_roams: bool,
     /// Drives have run for long when the master begins, each for another time.
     pub(crate) have_run: bool,
     /// Drives restart, by themselves and asked to, and that takes them 1.1 s.
@@ -202,6 +204,7 @@ impl Scenario {
         }
         conditions.stranger_moves = conditions.stranger && one_of(&[0, 1]) == 1;
         conditions.have_run = one_of(&[0, 1]) == 1;
+        conditions.stranger_roams = conditions.stranger && one_of(&[0, 1]) == 1;
         Self { trouble, percent, motors, requests, seed, conditions }
     }
 
@@ -210,7 +213,7 @@ impl Scenario {
         let c = &mut self.conditions;
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
         c.echo_trouble = None;
-        (c.stranger_moves, c.have_run) = (false, false);
+        (c.stranger_moves, c.stranger_roams, c.have_run) = (false, false, false);
         if c.echo == Echo::Unknown {
             self.keep_the_line_to_the_master();
         }

@@ -471,8 +471,7 @@ impl<W: Rough> Stage<W> {
             seat(MotorId::MIN, 99);
         }
         if conditions.stranger {
-            let moves = conditions.stranger_moves;
-            W::seat(&world, Stranger::<W>::new(MotorId::MIN, scenario.seed, moves));
+            W::seat(&world, Stranger::<W>::new(scenario));
         }
         let (first, count, noted) = (stations[0].index(), scenario.motors, book.clone());
         world.observe(move |record| {
