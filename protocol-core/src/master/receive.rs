@@ -36,13 +36,10 @@ impl<const N: usize> Master<N> {
     pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
         let before = self.busy_until;
         self.free_line_after_turnaround(now);
-        // Whoever fills the line holds up no stop, and nobody who could have gone before this came.
+        // Whoever fills the line holds nobody up who could go without that.
         let is_due = match self.choose_interruption() {
             Some((at, _)) => at <= now,
-            None => {
-                let was_free = before <= now && !self.is_anything_in_flight();
-                self.choose_stop().is_some() || was_free && self.choose(now).is_some()
-            }
+            None => !self.is_anything_in_flight() && self.choose(now).is_some(),
         };
         if is_due {
             self.busy_until = before.min(self.busy_until);
