@@ -31,6 +31,8 @@ pub(crate) struct Session<W: Rough> {
     /// When the newest command to all was put, in calm time.
     pub(super) all_asked_since: Duration,
     pub(super) watched_at: Instant,
+    /// Something was due after the last round in which nothing was heard.
+    pub(super) is_left_due: bool,
     /// When each motor's newest set-point was put, in the world's time.
     pub(super) streamed: Vec<Instant>,
     /// The next set-point's number of each motor.
@@ -86,6 +88,7 @@ impl<W: Rough> Session<W> {
             bounds: Bounds::new(&scenario, scenario.config::<W>()),
             all_asked_since: Duration::ZERO,
             watched_at: Instant::ZERO,
+            is_left_due: false,
             streamed: vec![Instant::ZERO; count],
             numbers: vec![1; count],
             next_ask: vec![Instant::ZERO; count],

@@ -74,8 +74,10 @@ impl Truth {
                 // Then it is to be off.
                 (page.stop.byte, page.stop.token) = (SHUTDOWN, 0);
                 page.is_begun_anew = true;
-            } else if holding.contains(motor) && !page.is_stopping {
-                // Unless that is over, and nobody was told yet.
+            } else if !page.is_stopping
+                && (holding.contains(motor) || page.may_be_stopping && page.stop.byte == STOP)
+            {
+                // Unless that is over, and nobody was told yet, or was dropped.
                 page.may_be_stopping(Name { byte: SHUTDOWN, token: 0 }, put);
             }
         }

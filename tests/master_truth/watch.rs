@@ -21,7 +21,9 @@ impl<W: Rough> Session<W> {
             return;
         }
         self.watched_at = now;
-        let is_line_full = self.scenario.trouble == Trouble::Babble && self.mischief.is_some();
+        // Nobody is kept off a line by who fills that; on CAN a babbler may win each arbitration.
+        let is_bus_full =
+            W::NAME == "CAN" && self.scenario.trouble == Trouble::Babble && self.mischief.is_some();
         let is_free = self.oracle.broadcast.is_none();
         let mut truth = self.stage.book.open();
         truth.tick(now);
@@ -32,7 +34,7 @@ impl<W: Rough> Session<W> {
         let is_calm =
             !is_held_back && !pages().any(|page| page.is_stopping || page.may_be_stopping);
         let calm = match () {
-            () if is_line_full || !truth.is_steady() => Quiet::None,
+            () if is_bus_full || !truth.is_steady() => Quiet::None,
             () if !is_calm => Quiet::Steady,
             () if !is_free => Quiet::Calm,
             () => Quiet::Free,
@@ -74,12 +76,14 @@ impl<W: Rough> Session<W> {
         self.oracle.totals.slowest = slowest;
     }
 
-    /// After a round at this time nothing is due any more, unless the port has not taken it.
+    /// After a round at this time nothing is due any more, unless the port has not taken it. Only what becomes due by
+    /// what the round has sent itself is left to the next.
     pub(super) fn check_wake(&mut self, now: Instant, failures: u64) {
-        let at = self.stage.host.wakes_at();
+        let at = self.stage.host.wakes_at().filter(|at| *at <= now);
         let mut truth = self.stage.book.open();
-        if at.is_some_and(|at| at <= now) && truth.failures == failures {
-            truth.breaks(format!("{at:?} was due after a round at {now:?}"));
+        let is_due = at.is_some() && truth.failures == failures;
+        if std::mem::replace(&mut self.is_left_due, is_due) && is_due {
+            truth.breaks(format!("{at:?} was due after two rounds, the last at {now:?}"));
         }
     }
 }
