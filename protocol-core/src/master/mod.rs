@@ -54,7 +54,7 @@
 //! of one that may be waiting for its turn to answer. Whoever was silent before, or had its chance on
 //! a quiet bus, is not waited for: on CAN a silent motor costs the others the time of its own commands
 //! on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
-//! motor keeps the line for [`Config::reply_timeout`].
+//! motor keeps the line for [`Config::reply_timeout`]. Who speaks without being asked keeps nobody off it.
 
 mod broadcast;
 mod config;
