@@ -200,6 +200,7 @@ impl Truth {
         sending.heard += 1;
         sending.ignored += u32::from(ignores);
         let sending = *sending;
+        let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
         // On a line two of one id take each other's acknowledgements for commands, and may go on so for ever.
         if sending.heard > sending.taken && (has_twin || !name.is_stop()) {
             page.excuses.note(question_of(packet), doubled, now, window);
@@ -306,6 +307,8 @@ impl Truth {
                 page.answered_newest |= sending.last_taken == page.asked_at;
             }
             if sending.delivered > sending.taken * copies {
+                // Noise may make a frame that its drive hears, and answers.
+                let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
                 page.excuses.note(question, doubled, now, window);
             } else if now - sending.last_taken > window {
                 page.excuses.note(question, Excuse::HeldBack, now, window);

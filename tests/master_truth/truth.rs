@@ -43,6 +43,13 @@ pub(crate) struct Sending {
     pub(crate) was_answered: bool,
 }
 
+impl Sending {
+    /// Nobody has given it to the master, nor has the bus taken it.
+    pub(super) fn was_never_put(&self) -> bool {
+        self.put == 0 && self.taken == 0
+    }
+}
+
 /// What is true of one motor.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Page {
