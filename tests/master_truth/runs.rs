@@ -143,7 +143,7 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(71_135);
     // Noise has taken four echoes in a row, and then echoes of set-points say that these were ignored: none is lost.
     as_drawn::<Rs485Line>(700_335);
-    // A collision makes a frame that its drive hears: it is made up, and where it says the motor is the next is a jump from.
+    // A collision makes a frame that its drive hears: it is made up, and from where it says the motor is the next jumps.
     as_drawn::<Rs485Line>(710_003);
     // Noise that looks like a reply in motion mode begins as if the drive had lost its master.
     as_drawn::<CanBus>(1_140);
