@@ -38,6 +38,8 @@ pub(super) struct Come {
     echo: Option<(MotorId, u8)>,
     /// So many answers since, without theirs.
     without: u8,
+    /// This one has said that it has lost its master: what comes back until it answers may be no echo, and shows none.
+    hands_back: Option<MotorId>,
 }
 
 impl Doubt {
@@ -75,17 +77,23 @@ impl Doubt {
             return self.has_echoed();
         }
         let Self::Open { left, asked, come } = self else { return };
+        if byte == 0xF1 {
+            come.hands_back = Some(motor);
+        }
         if !NEVER_LIKE_THEIR_REPLY.contains(&byte) {
             return;
         }
         if packet.data[3] != DONE {
             (*left, *asked) = (ANSWERS, None);
-            *come = Come { echo: Some((motor, byte)), without: 0 };
+            if come.hands_back != Some(motor) {
+                *come = Come { echo: Some((motor, byte)), ..Come::default() };
+            }
             return;
         }
         let answered = asked.take_if(|asked| asked.what == (motor, byte));
         let is_soon = answered.is_some_and(|asked| world - asked.at <= SHOWS_WITHIN);
         *left = left.saturating_sub(is_soon.into());
+        come.hands_back.take_if(|hands_back| *hands_back == motor);
         // Behind its echo it shows nothing more.
         let has_echoed = come.echo.take_if(|echo| *echo == (motor, byte)).is_some();
         come.without = come.without.saturating_add((!has_echoed).into());
