@@ -167,6 +167,8 @@ impl<const N: usize> Master<N> {
     pub(crate) fn note_found(&mut self, motors: MotorSet) {
         if self.give_places(motors).is_err() {
             self.broadcast.may_be_unnamed = true;
+            // As above.
+            self.stop_to_all_was = None;
         }
     }
 

@@ -546,6 +546,20 @@ fn whoever_is_found_without_a_place_while_a_stop_is_in_force_is_stopped_when_it_
     assert!(!sent(&mut master, ms(4)).contains(&packet_to_all(Stop.encode())));
 }
 
+/// Nor has it heard the one that went to all before it was there.
+#[test]
+fn whoever_is_found_without_a_place_after_a_stop_to_all_is_told_by_the_next() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(0));
+    for (found, at) in [(2, 1), (3, 300)] {
+        master.note_found([id(1), id(found)].into());
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(at))[0], packet_to_all(Stop.encode()));
+        reply(&mut master, 1, Stop.encode(), ms(at + 1));
+    }
+}
+
 #[test]
 fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
