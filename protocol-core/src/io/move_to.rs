@@ -100,7 +100,8 @@ pub struct MoveLimits {
     /// How the motor is stopped if it does not arrive, or the move is left halfway. [`StopKind::Hold`] holds where it is
     /// **with all its torque**, whatever limited that of the move: a gripper that has just met something would crush it
     /// by as much as its way to rest takes. [`StopKind::Off`] lets go, also where the move was refused before it was sent: a
-    /// load falls that no brake holds. Whom another stop holds already is not let go by it.
+    /// load falls that no brake holds, and until that does, which takes its time. Whom another stop holds already is not
+    /// let go by it.
     pub stop: StopKind,
 }
 
@@ -351,26 +352,27 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         last_turn.note(feedback.speed, now);
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
+        let is_over = has_arrived || has_stalled || is_time_up;
         // An error may have come just now: then it holds nothing where it stands, or comes no nearer for that.
-        if looks % ERRORS_EVERY == 0 || has_arrived || has_stalled || is_time_up {
+        if looks % ERRORS_EVERY == 0 || is_over {
             let errors = bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?.errors;
             if !errors.is_empty() {
                 return Err(MoveFailure::Fault(errors));
             }
         }
-        if has_arrived {
-            return Ok(progress);
-        }
-        if on_look(&progress).is_break() {
+        if !has_arrived && on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
         }
-        if (has_stalled || is_time_up) && runs_nothing(bus, motor).await {
+        if is_over && runs_nothing(bus, motor).await {
             let has_started = has_started_since(bus, motor, begun, ran).await;
             if has_started.map_err(unseen_since(angle))? {
                 bus.note_restart(motor);
             }
             bus.may_move(motor).map_err(CallError::refused(motor))?;
             return Err(MoveFailure::LetGo { at: angle });
+        }
+        if has_arrived {
+            return Ok(progress);
         }
         if has_stalled {
             return end_of_stall(progress, limits, &last_turn, now);

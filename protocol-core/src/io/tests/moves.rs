@@ -67,6 +67,23 @@ fn who_arrives_with_an_error_has_not_arrived() {
     }
 }
 
+/// Nor has one that has no error, and was let go on the way: by its communication-loss protection, or by somebody.
+#[test]
+fn who_arrives_and_runs_nothing_has_not_arrived() {
+    let command =
+        AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
+    for (mode, let_go) in [(0, true), (3, false)] {
+        let (_, mut arm) = says(|data| match data[0] {
+            0xB1 => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
+            0x70 => *data = [0x70, 0, 0, 0, 0, 0, 0, mode],
+            _ => {}
+        });
+        let moved = bring_up::move_to(&mut arm, id(1), command, &MoveLimits::default(), go_on);
+        let here = MoveFailure::LetGo { at: Angle::from_raw(36_000) };
+        assert_eq!(moved.map(drop).map_err(|it| it.why), if let_go { Err(here) } else { Ok(()) });
+    }
+}
+
 /// A handle to a loop that another thread runs: nobody is told of a restart with the answer that shows it.
 struct Handle {
     arm: AsyncCanMaster<TestCan, TestClock, 4>,
