@@ -1,6 +1,7 @@
 //! The holding brake (manual 2.27 and 2.28).
 //!
-//! Opening takes a brake 50 to 150 ms; a motor that is driven before that works against it.
+//! Opening takes a brake 50 to 150 ms; a motor that is driven before that works against it. Locking takes time, too: a
+//! load falls if the output goes off before (0x80).
 
 command! {
     /// Open the brake: 0x77 (2.27). The reply is the same frame, and comes before the brake is open.
@@ -9,6 +10,6 @@ command! {
 
 command! {
     /// Close the brake: 0x78 (2.28). The motor cannot run then; without power it is in this state
-    /// too. The reply is the same frame.
+    /// too. The reply is the same frame, and comes before the brake holds.
     LockBrake -> Self
 }

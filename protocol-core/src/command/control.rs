@@ -13,7 +13,8 @@ use crate::units::{
 
 command! {
     /// Switch the output off and leave every control mode: 0x80 (2.17). The shaft is free to turn
-    /// unless a brake holds it. The reply is the same frame. A stream goes on after it: what keeps
+    /// unless a brake holds it, which takes its time to lock: see
+    /// [`StopKind::Off`](crate::master::StopKind::Off). The reply is the same frame. A stream goes on after it: what keeps
     /// a motor stopped is [`Master::stop`](crate::master::Master::stop).
     Shutdown -> Self
 }

@@ -12,7 +12,7 @@ use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
 
 /// How long a brake takes to lock at the most: 50 to 150 ms were seen of such that open.
-const BRAKE_LOCKS: Duration = Duration::from_millis(150);
+const BRAKE_LOCKS: Duration = Duration::from_millis(200);
 /// In so long a load turns a shaft that its brake does not hold.
 const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
@@ -62,6 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                     "motor {motor}: the brake was told to lock and says {says}"
                 )));
             }
+            session.wait_for_brake(motor)?;
             session.brake_holds(motor)?;
             say(&format!("motor {motor}: brake locked"))
         }
@@ -94,16 +95,22 @@ impl Session {
         }
     }
 
-    /// Gives a brake that was told to lock the time to do it, and sees that the shaft stands behind it: nothing else
-    /// says that it does.
-    pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
+    /// Gives a brake that was told to lock the time to do it. A load may sink meanwhile.
+    pub(super) fn wait_for_brake(&mut self, motor: MotorId) -> Outcome {
         let locked = self.master.now() + BRAKE_LOCKS;
-        while self.master.now() < locked + BRAKE_SHOWS {
-            // Asked from the beginning: its communication-loss protection may be short.
-            let speed = self.turns_at(motor)?;
-            if let Some(speed) = speed
-                && self.master.now() >= locked
-            {
+        while self.master.now() < locked {
+            // For its communication-loss protection, which may be short.
+            self.turns_at(motor)?;
+            self.wait_until(self.master.now() + LONGEST_WAIT)?;
+        }
+        Ok(())
+    }
+
+    /// Sees that the shaft stands behind a brake that has had the time to lock: nothing else says that it does.
+    pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
+        let end = self.master.now() + BRAKE_SHOWS;
+        while self.master.now() < end {
+            if let Some(speed) = self.turns_at(motor)? {
                 return Err(Unfinished::Failed(format!(
                     "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
                 )));

@@ -138,7 +138,7 @@ impl Session {
     }
 
     /// Stops these motors and waits until they have confirmed; a line that fails for a moment is waited for.
-    fn confirm_stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+    pub(super) fn confirm_stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         if kind == StopKind::Off {
             self.master.off = self.master.off.with(motors);
         }

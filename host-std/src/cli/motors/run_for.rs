@@ -105,11 +105,14 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.stop(StopKind::Hold, motor.into())?;
     // Not on a shaft that turns still.
     session.come_to_rest(motor)?;
-    session.moving(motor, |session| session.ask(motor, LockBrake))?;
+    session.moving(motor, |session| {
+        session.ask(motor, LockBrake)?;
+        session.wait_for_brake(motor)
+    })?;
     let mut holds = session.brake_holds(motor);
     if holds.is_ok() {
-        session.stop(StopKind::Off, motor.into())?;
-        // Only now does it hold alone.
+        session.confirm_stop(StopKind::Off, motor.into())?;
+        // Only now does it hold alone: that is looked at before anything else.
         holds = session.brake_holds(motor);
     }
     if let Err(why) = holds {
@@ -122,6 +125,7 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
             .and_then(|()| session.stopped(motor.into()));
         return Err(told_with_stop(why, held));
     }
+    session.see_stopped(StopKind::Off, motor.into())?;
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 
@@ -304,6 +308,20 @@ mod tests {
         let sunk_deg = (angle_deg() - held_deg).abs();
         assert!(sunk_deg < 0.1, "{sunk_deg}");
         assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
+    }
+
+    /// No brake is fitted: 0x78 is acknowledged, and the motor holds on until 0x80.
+    #[test]
+    fn a_load_that_no_brake_holds_falls_until_the_first_look_only() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let fleet = Fleet::new(1).load(load).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let angle_deg = || fleet.drives[0].with(|drive| drive.state().angle_deg);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        let held_deg = angle_deg();
+        put_down(&mut session, MotorId::MIN).unwrap_err();
+        let sunk_deg = (angle_deg() - held_deg).abs();
+        assert!(sunk_deg < 2.0, "{sunk_deg}");
     }
 
     #[test]
