@@ -103,6 +103,31 @@ fn a_slow_brake_locks_late() {
     assert!(!bench.state().output_on);
 }
 
+/// Also where the drive restarts meanwhile: it does not open once more.
+#[test]
+fn a_slow_brake_locks_once_at_a_restart() {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    for seed in 0..20 {
+        let boot_time = millis(20);
+        let parameters =
+            Parameters { has_brake: true, quirks, seed, boot_time, ..Parameters::default() };
+        let mut bench = Bench::new(parameters);
+        bench.run(millis(50));
+        bench.write(ReleaseBrake);
+        bench.go(push(1.0), millis(200));
+        assert_eq!(bench.send(Reset), None);
+        let mut angles = vec![bench.angle()];
+        for _ in 0..200 {
+            bench.run(millis(1));
+            angles.push(bench.angle());
+        }
+        let turned: Vec<bool> = angles.windows(2).map(|pair| pair[0] != pair[1]).collect();
+        let locked = turned.iter().position(|turned| !turned).unwrap();
+        assert!((44..=150).contains(&locked), "{locked}");
+        assert!(turned[locked..].iter().all(|turned| !turned), "{seed}");
+    }
+}
+
 /// Function 5 changes the id, but is not answered.
 #[test]
 fn silent_id_change() {

@@ -134,7 +134,7 @@
 //!   a locked brake they are answered and do nothing.
 //! - The reply to 0x77 does not wait until the brake is open.
 //! - 0x78 ends what runs and switches the output off, once the brake holds: "the motor cannot run then" (2.28.1).
-//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that
+//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall on; one that
 //!   0x77 opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
 //!   communication lock either.
 //! - A motor without a brake answers 0x77 and 0x78, which do nothing else, and 0x9A says of it that

@@ -419,7 +419,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
         } else {
             // Without a brake, nothing holds the shaft.
-            actuation.brake_released = !self.parameters.has_brake;
+            actuation.brake_released = self.brake.is_open(self.clock);
         }
         self.act(&actuation, period);
         self.clock = end;
