@@ -158,7 +158,7 @@ fn an_adapter_that_will_not_open_is_told() {
         opened.err()
     };
     // One that is late is opened as one that answers nothing.
-    let error = (0..20).find_map(|_| open_one()).expect("one in time");
+    let error = (0..5).find_map(|_| open_one()).expect("one in time");
     assert!(matches!(error, BusError::Port(PortError::Refused(_))), "{error}");
 }
 
@@ -185,11 +185,15 @@ fn a_stop_goes_through_an_adapter_that_another_program_talks_to_all_the_time() {
         let is_over = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&is_over);
         let another = std::thread::spawn(move || {
+            let mut longest_pause = std::time::Duration::ZERO;
             while !ends.load(Ordering::Relaxed) {
+                let begun = Instant::now();
                 // Before the port is open and after that nobody hears it.
                 let _ = refusals.write_all(b"\x07");
                 std::thread::sleep(std::time::Duration::from_millis(2));
+                longest_pause = longest_pause.max(begun.elapsed());
             }
+            longest_pause
         });
         let stop = frame(0x81);
         let device = std::thread::spawn(move || {
@@ -207,17 +211,14 @@ fn a_stop_goes_through_an_adapter_that_another_program_talks_to_all_the_time() {
         // The port stays open until it is heard.
         let is_heard = device.join().unwrap();
         is_over.store(true, Ordering::Relaxed);
-        another.join().unwrap();
-        match sent {
-            // On a busy machine the other program pauses, too, and what it had refused counts.
-            Err(PortError::Refused(_)) => false,
-            sent => {
-                sent.unwrap().unwrap();
-                is_heard
-            }
+        // On a busy machine the other program pauses, too, and what it had refused counts.
+        if another.join().unwrap() > std::time::Duration::from_millis(20) {
+            return None;
         }
+        sent.unwrap().unwrap();
+        Some(is_heard)
     };
-    assert!((0..20).any(|_| is_stopped()));
+    assert_eq!((0..100).find_map(|_| is_stopped()), Some(true));
 }
 
 /// Receives until this gives something; gives up after four seconds.

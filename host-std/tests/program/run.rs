@@ -32,7 +32,7 @@ pub(crate) fn unless_late<T>(
     mut attempt: impl FnMut() -> T,
     has_given_up: impl Fn(&T) -> bool,
 ) -> T {
-    for _ in 0..7 {
+    for _ in 0..4 {
         let is_over = AtomicBool::new(false);
         let (outcome, is_late) = thread::scope(|scope| {
             let watching = scope.spawn(|| is_late_until(&is_over));
@@ -52,7 +52,7 @@ pub(crate) fn unless_late<T>(
 /// Whether the machine is late with anything until this is over.
 fn is_late_until(is_over: &AtomicBool) -> bool {
     const A_MOMENT: Duration = Duration::from_millis(1);
-    const LATE: Duration = Duration::from_millis(5);
+    const LATE: Duration = Duration::from_millis(20);
     let (mut keys, program) = terminal();
     let mut program = File::from(program);
     let mut is_late = false;

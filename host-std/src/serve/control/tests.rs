@@ -312,8 +312,9 @@ fn a_second_of_four_motors_takes_far_less_in_lock_step() {
         start.elapsed()
     });
     // A machine that does other things meanwhile is late with many of the steps, and with some it is not.
-    let quickest = steps.min().unwrap();
-    assert!(quickest * 100 < std::time::Duration::from_millis(700), "{quickest:?}");
+    let mut steps: Vec<_> = steps.collect();
+    steps.sort_unstable();
+    assert!(steps[25] * 100 < std::time::Duration::from_millis(700), "{steps:?}");
     assert_eq!(client.ask(r#"{"time":{}}"#)["ok"]["at_us"], 1_000_000);
 }
 
