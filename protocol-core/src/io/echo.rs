@@ -164,8 +164,11 @@ impl EchoFilter {
 
     /// What is no echo may be an answer; if that of what it answers has not come, it will not.
     fn has_answered(&mut self, frame: &Frame) {
-        if let (Target::Motor(motor), [LOST_MASTER_BYTE, ..]) = (frame.address, frame.data) {
-            self.hand_back.insert(motor);
+        match (frame.address, frame.data) {
+            (Target::Motor(motor), [LOST_MASTER_BYTE, ..]) => self.hand_back.insert(motor),
+            // Who answers hands nothing back any more.
+            (Target::Motor(motor), _) => self.hand_back.remove(motor),
+            (Target::All, _) => {}
         }
         let mut shows = false;
         for sent in self.sent.iter_mut().flatten() {
@@ -570,5 +573,27 @@ mod tests {
         exchange(&mut told, 1, true);
         (0..9).for_each(|_| exchange(&mut told, 1, false));
         assert!(!believes(&mut told));
+    }
+
+    /// It would hand back the next command only: an echo that comes after an answer is one, and shows it.
+    #[test]
+    fn who_has_answered_since_it_lost_its_master_hides_no_echo() {
+        let mut filter = EchoFilter::new(false);
+        let read = frame(ReadStatus1);
+        let status = Frame { data: [0x9A, 20, 20, 1, 0xE0, 1, 0, 0], ..read };
+        let lost = Frame { data: [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ..read };
+        assert!(!filter.is_echo(&lost));
+        // Noise takes four echoes in a row, so that the adapter seems quiet.
+        for at in [10, 20, 30, 40] {
+            filter.sent(read, ms(at));
+            assert!(!filter.is_echo(&status));
+            filter.found_empty(ms(at + 5));
+        }
+        (5..35).for_each(|count| filter.found_empty(ms(10 * count)));
+        filter.sent(read, ms(350));
+        assert!(filter.is_echo(&read));
+        assert!(!filter.is_echo(&status));
+        filter.sent(frame(Stop), ms(360));
+        assert!(filter.is_echo(&frame(Stop)), "it confirms nothing");
     }
 }

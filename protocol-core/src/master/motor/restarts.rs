@@ -102,10 +102,12 @@ impl Motor {
         }
     }
 
-    /// It is heard for the first time, so that it has started.
+    /// It is heard for the first time, so that it has started, unless it was told to start anew: that may be yet to come.
     #[inline(never)]
     pub(super) fn note_first_heard(&mut self, now: Instant) {
-        self.started_by = step_of(now);
+        if step_of(now).wrapping_sub(self.started_by) < MAY_WRAP {
+            self.started_by = step_of(now);
+        }
     }
 
     /// It has said how long it had run: when it was asked last, or up to so much `earlier`.
