@@ -4,9 +4,10 @@ use std::fmt::Debug;
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::trace;
+use myactuator_host_std::sim::plant::Load;
 use myactuator_protocol_core::command::{
     BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1,
+    ReadMultiTurnEncoderOffset, ReadStatus1, Stop,
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
@@ -42,6 +43,8 @@ on_both_buses! {
     a_brake_opens_under_a_protection_that_is_shorter
     a_brake_opens_though_its_drive_had_lost_its_master
     a_brake_that_does_not_open_is_told
+    a_load_stays_where_it_is
+    no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
     a_protected_motor_stops_when_nobody_speaks
     a_brake_that_does_not_open_is_told_with_its_motor
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
@@ -297,8 +300,9 @@ fn a_brake_is_open_before_torque_comes<W: Wire>() {
     let took = runner.now() - begun;
     assert!(took >= Quirks::SLOW_BRAKE_MAX, "it is waited for: {took}");
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
-    // Torque moves the shaft from the first moment.
+    // Torque moves the shaft from the first moment; until then it was held.
     assert!(moved() < 0.01);
+    assert!(state(drive).output_on);
     runner.ask(id(1), push(2.0)).expect("it is there");
     listen(runner, millis(50));
     assert!(moved() > 0.01, "{}", moved());
@@ -326,13 +330,46 @@ fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
 }
 
 fn a_brake_that_does_not_open_is_told<W: Wire>() {
-    // As far as this firmware says.
+    // As far as this firmware says, whose drive has an error and holds nothing.
     let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
     let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
-    let runner = &mut master(&bus);
-    let refused = bring_up::release_brake(runner, id(1));
+    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    let refused = bring_up::release_brake(&mut master(&bus), id(1));
     let (motor, says) = (id(1), BrakeCommand::LOCK);
     assert_eq!(refused, Err(BringUpError::BrakeNotReleased { motor, says }));
+}
+
+/// And comes to rest behind its brake: it is lifted, held and put down again.
+fn a_load_stays_where_it_is<W: Wire>() {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    let load = Load { torque_nm: 5.0, ..Load::NONE };
+    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(quirks).load(load)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    let begun_deg = state(drive).angle_deg;
+    let has_moved = || (state(drive).angle_deg - begun_deg).abs() > 1.0;
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    assert!(!has_moved() && state(drive).output_on);
+    assert_eq!(bring_up::lock_brake(runner, id(1)), Ok(()));
+    assert!(runner.stop(id(1), StopKind::Off));
+    listen(runner, millis(500));
+    assert!(!has_moved() && !state(drive).output_on);
+}
+
+fn no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told<W: Wire>() {
+    for has_brake in [true, false] {
+        let bus = W::drives(&Fleet::new(1).brakes(has_brake)).unwrap();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        runner.ask(id(1), turn(90.0)).expect("it is there");
+        listen(runner, millis(500));
+        let refused = bring_up::lock_brake(runner, id(1));
+        assert!(matches!(refused, Err(BringUpError::Turns { .. })), "{refused:?}");
+        assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
+        runner.ask(id(1), Stop).expect("it is there");
+        listen(runner, millis(1_000));
+        let (motor, says) = (id(1), BrakeCommand::RELEASE);
+        let told = Err(BringUpError::BrakeNotLocked { motor, says });
+        assert_eq!(bring_up::lock_brake(runner, id(1)), if has_brake { Ok(()) } else { told });
+    }
 }
 
 fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
@@ -360,6 +397,7 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
 fn a_brake_that_does_not_open_is_told_with_its_motor<W: Wire>() {
     let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
     let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
+    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     let refused = bring_up::release_brake(&mut master(&bus), id(1)).unwrap_err().to_string();
     assert!(refused.contains("motor 1"), "{refused}");
 }

@@ -73,6 +73,16 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     pub fn release_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
         block_on(async_bring_up::release_brake(&mut Way::on(self, motor), motor))
     }
+
+    /// Locks the brake of a motor that stands, and waits until it has had the time to, as
+    /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
+    /// that comes meanwhile may open it again: [stop](Self::stop) the motor first.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn lock_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::lock_brake(&mut Way::on(self, motor), motor))
+    }
 }
 
 /// A bus as ways of working see it. Each of its futures waits by itself, so that none has to be woken.

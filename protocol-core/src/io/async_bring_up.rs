@@ -5,9 +5,9 @@
 //! not have been restarted.
 
 use crate::command::{
-    BrakeCommand, CommunicationLossProtection, ReadModel, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate,
-    ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown,
+    BrakeCommand, CommunicationLossProtection, LockBrake, ReadModel, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
+    ReadVersionDate, ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown, Stop,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -19,7 +19,7 @@ pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::on_drop::OnDrop;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
-use crate::io::standing::check_stands;
+use crate::io::standing::{check_stands, turns};
 use crate::master::{Event, Failure, MotorSet};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
@@ -29,8 +29,8 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ATTEMPTS: u8 = 2;
 /// How often a drive is told to restart that goes on running.
 const RESTARTS: u8 = 3;
-/// How long a brake takes to open at the most.
-const BRAKE_OPENING: Duration = Duration::from_millis(150);
+/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
+const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// How often a motor is spoken to that is waited for.
 const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
@@ -253,17 +253,43 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
         bus.ask(motor, ReadStatus1).await?;
     }
     bus.ask(motor, ReleaseBrake).await?;
-    let open = bus.now() + BRAKE_OPENING;
-    // Without a word its communication-loss protection would lock it again.
-    while bus.now() < open {
-        bus.ask(motor, ReadStatus1).await?;
-        let next = bus.now() + SPOKEN_TO_EVERY;
-        bus.wait_until(next.min(open)).await?;
-    }
-    match bus.ask(motor, ReadStatus1).await?.brake {
+    // At once: a load falls as soon as the brake opens, and behind a locked one a stop may do nothing.
+    bus.ask(motor, Stop).await?;
+    match moved_brake(bus, motor).await? {
         BrakeCommand::RELEASE => Ok(()),
         says => Err(BringUpError::BrakeNotReleased { motor, says }),
     }
+}
+
+/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake).
+pub async fn lock_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    let speed = bus.ask(motor, ReadStatus2).await?.speed;
+    if turns(speed) {
+        return Err(BringUpError::Turns { motor, speed });
+    }
+    bus.ask(motor, LockBrake).await?;
+    match moved_brake(bus, motor).await? {
+        BrakeCommand::LOCK => Ok(()),
+        says => Err(BringUpError::BrakeNotLocked { motor, says }),
+    }
+}
+
+/// Gives a brake the time to open or to lock; what its drive says that it was told last.
+async fn moved_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<BrakeCommand, CallError<B::Error>> {
+    let moved = bus.now() + BRAKE_MOVES;
+    // Without a word its communication-loss protection would lock it, and switch its motor off.
+    while bus.now() < moved {
+        bus.ask(motor, ReadStatus1).await?;
+        let next = bus.now() + SPOKEN_TO_EVERY;
+        bus.wait_until(next.min(moved)).await?;
+    }
+    Ok(bus.ask(motor, ReadStatus1).await?.brake)
 }
 
 /// As [`bring_up::protect`](crate::io::bring_up::protect).

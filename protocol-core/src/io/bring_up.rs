@@ -108,6 +108,16 @@ pub enum BringUpError<E> {
         /// What its drive says that the brake was told last.
         says: BrakeCommand,
     },
+    /// The drive does not return lock as its brake's last command: it may have none. What holds a load is to go on.
+    #[error(
+        "motor {motor}: the brake was told to lock and says {says}: do not switch off what holds a load"
+    )]
+    BrakeNotLocked {
+        /// The motor.
+        motor: MotorId,
+        /// What its drive says that the brake was told last.
+        says: BrakeCommand,
+    },
 }
 
 /// What a motor is and how it does.
@@ -245,7 +255,10 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 }
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
-/// 2.19.1).
+/// 2.19.1). The motor holds its shaft from the beginning (0x81), so that no load falls; one that moves is stopped by that.
+/// A shaft that is to turn freely is let go behind it, by [`Shutdown`](crate::command::Shutdown).
+///
+/// Speed and position commands open a brake by themselves, and hold.
 ///
 /// # Errors
 /// [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`].
@@ -256,10 +269,37 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     block_on(task::release_brake(&mut Polled(runner), motor))
 }
 
+/// Locks the brake of a motor that stands and holds its shaft, and waits until it has had the time to (0x78, 2.28). The
+/// motor can be switched off behind it, as it is when nobody speaks to it any more and its protection is set (0xB3):
+/// before that, a load falls until the brake holds.
+///
+/// ```
+/// use myactuator_protocol_core::io::Runner;
+/// use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+/// use myactuator_protocol_core::master::StopKind;
+/// use myactuator_protocol_core::MotorId;
+///
+/// /// Whether it has confirmed that it is off. Before that it has to stand.
+/// fn put_down<R: Runner<8>>(bus: &mut R, arm: MotorId) -> Result<bool, BringUpError<R::Error>> {
+///     bring_up::lock_brake(bus, arm)?;
+///     Ok(bus.stop(arm, StopKind::Off))
+/// }
+/// ```
+///
+/// # Errors
+/// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::Call`].
+pub fn lock_brake<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    block_on(task::lock_brake(&mut Polled(runner), motor))
+}
+
 /// Sets after how long without a command a motor stops by itself (0xB3); 0 switches that off. It is kept in ROM.
 ///
 /// From then on the motor has to be spoken to without longer pauses, and after one it may answer and not obey
-/// until it is spoken to steadily again (2.31.1). Its brake has locked by then, which torque and motion
+/// until it is spoken to steadily again (2.31.1). A load falls until its brake holds: [lock](lock_brake) that before you
+/// fall silent on purpose. Its brake has locked by then, which torque and motion
 /// commands do not open: [release](release_brake) it again. What waits here speaks to its own motor alone,
 /// [`move_to`] every 20 ms: below 50 ms the protection may end a move.
 ///

@@ -36,8 +36,8 @@
 //! nobody acknowledges: it is obeyed when the bus is whole again, whenever that is, unless the controller can be
 //! reset. An answer can also be wrong if a drive answers twice or a command reaches it twice (the second reply may be
 //! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
-//! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
-//! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
+//! same time (on a line its command alone may look like the reply), or if a drive reports by itself what it was asked
+//! for (an error, or what it was told to report no more and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
 //! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On
 //! RS485 an echo that nobody configured confirms a stop, passes for values that are all 0, or for a move that its drive
 //! has ignored, if noise has taken the echoes of four reads in a row, and neither these reads nor their answers, or

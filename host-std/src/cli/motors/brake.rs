@@ -1,8 +1,9 @@
 //! `myactuator brake`: the holding brake, by hand.
 
 use clap::ValueEnum;
+use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
+use myactuator_protocol_core::command::{BrakeCommand, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::time::Duration;
@@ -11,8 +12,8 @@ use super::moving::LONGEST_WAIT;
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
 
-/// How long a brake takes to lock at the most: 50 to 150 ms were seen of such that open.
-const BRAKE_LOCKS: Duration = Duration::from_millis(200);
+/// How long a brake takes to open at the most.
+const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// In so long a load turns a shaft that its brake does not hold.
 const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
@@ -46,7 +47,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             session.confirm(&format!(
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."
             ))?;
-            if session.release_brake(motor)? {
+            if session.let_go(motor)? {
                 say(&format!("motor {motor}: brake released"))
             } else {
                 say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
@@ -55,14 +56,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
             session.standing(motor)?;
-            session.ask(motor, LockBrake)?;
-            let says = session.ask(motor, ReadStatus1)?.brake;
-            if says != BrakeCommand::LOCK {
+            if !session.lock_brake(motor)? {
                 return Err(Unfinished::Failed(format!(
-                    "motor {motor}: the brake was told to lock and says {says}"
+                    "motor {motor}: the brake was told to lock, and the motor says that it was not"
                 )));
             }
-            session.wait_for_brake(motor)?;
             session.brake_holds(motor)?;
             say(&format!("motor {motor}: brake locked"))
         }
@@ -70,40 +68,54 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 }
 
 impl Session {
-    /// Releases a brake and waits until it is open. Whether the motor says that it is: one that has acknowledged
-    /// the command and says "lock" all the same is warned of.
+    /// Releases a brake behind which the motor holds, and waits until it is open. Whether the motor says that it is: one
+    /// that has acknowledged the command and says "lock" all the same is warned of.
     pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome<bool> {
         match bring_up::release_brake(&mut self.master, motor) {
-            Ok(()) => Ok(true),
             Err(BringUpError::BrakeNotReleased { says, .. }) => {
-                report(
-                    "warning",
-                    format!(
-                        "motor {motor} has acknowledged the release of its brake (0x77) and says {says} all the \
-                         same, as firmware 2025070202 does while it obeys no command: see that the shaft is free"
-                    ),
-                );
+                warn_of(motor, says);
                 Ok(false)
             }
-            Err(BringUpError::Call(error)) => Err(match self.failed(error) {
+            outcome => self.unless_half_open(outcome).map(|()| true),
+        }
+    }
+
+    /// Releases a brake, and lets the shaft go. Whether the motor says so, as above.
+    fn let_go(&mut self, motor: MotorId) -> Outcome<bool> {
+        // One that has lost its master obeys the third command (2.31.1).
+        self.ask(motor, ReadStatus1)?;
+        self.ask(motor, ReadStatus1)?;
+        let told = self.master.ask(motor, ReleaseBrake).map(drop).map_err(BringUpError::Call);
+        self.unless_half_open(told)?;
+        self.wait_until(self.master.now() + BRAKE_MOVES)?;
+        let says = self.ask(motor, ReadStatus1)?.brake;
+        if says != BrakeCommand::RELEASE {
+            warn_of(motor, says);
+        }
+        Ok(says == BrakeCommand::RELEASE)
+    }
+
+    fn unless_half_open(&mut self, outcome: Result<(), BringUpError<BusError>>) -> Outcome {
+        outcome.map_err(|error| match error {
+            BringUpError::Call(error) => match self.failed(error) {
                 Unfinished::Failed(told) => {
                     Unfinished::Failed(format!("{told}; its brake may be open all the same"))
                 }
                 other => other,
-            }),
-            Err(error) => Err(error.into()),
-        }
+            },
+            error => error.into(),
+        })
     }
 
-    /// Gives a brake that was told to lock the time to do it. A load may sink meanwhile.
-    pub(super) fn wait_for_brake(&mut self, motor: MotorId) -> Outcome {
-        let locked = self.master.now() + BRAKE_LOCKS;
-        while self.master.now() < locked {
-            // For its communication-loss protection, which may be short.
-            self.turns_at(motor)?;
-            self.wait_until(self.master.now() + LONGEST_WAIT)?;
+    /// Locks the brake of a motor that stands, and waits until it has had the time to. Whether the motor says that it
+    /// was told to: where it has none, it says that it was not.
+    pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<bool> {
+        match bring_up::lock_brake(&mut self.master, motor) {
+            Ok(()) => Ok(true),
+            Err(BringUpError::BrakeNotLocked { .. }) => Ok(false),
+            Err(BringUpError::Call(error)) => Err(self.failed(error)),
+            Err(error) => Err(error.into()),
         }
-        Ok(())
     }
 
     /// Sees that the shaft stands behind a brake that has had the time to lock: nothing else says that it does.
@@ -121,6 +133,16 @@ impl Session {
     }
 }
 
+fn warn_of(motor: MotorId, says: BrakeCommand) {
+    report(
+        "warning",
+        format!(
+            "motor {motor} has acknowledged the release of its brake (0x77) and says {says} all the \
+             same, as firmware 2025070202 does while it obeys no command: see that the shaft is free"
+        ),
+    );
+}
+
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
@@ -135,10 +157,12 @@ mod tests {
         let fleet = Fleet::new(1).brakes(true).quirks(quirks).on_can(1_000_000).unwrap();
         let log = fleet.world.log();
         let mut session = Session::on(&fleet);
-        assert_eq!(session.release_brake(MotorId::MIN), Ok(false));
+        assert_eq!(session.let_go(MotorId::MIN), Ok(false));
         assert!(sent(&log).iter().any(|packet| packet.data[0] == 0x77));
         // One that does not acknowledge it is one.
         let nobody = MotorId::new(9).unwrap();
-        assert!(matches!(session.release_brake(nobody), Err(Unfinished::Failed(_))));
+        assert!(matches!(session.let_go(nobody), Err(Unfinished::Failed(_))));
+        // While it holds, it says so.
+        assert_eq!(session.release_brake(MotorId::MIN), Ok(true));
     }
 }

@@ -39,7 +39,8 @@ protection: myactuator timeout.";
 /// What ends holding still, or a position, for the help of those after which a motor does that.
 pub(super) const HOLDS: &str = "\
 Holding ends where the motor's communication-loss protection (0xB3) is set, by 'myactuator timeout' or another: nobody \
-speaks to the motor any more, and when that time is up its output is off and its shaft free unless it has a brake.";
+speaks to the motor any more, and when that time is up its output is off and its shaft free unless it has a brake, which \
+takes some 50 to 150 ms to lock: where a load could fall, 'myactuator brake lock' comes before.";
 
 /// What is true of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
