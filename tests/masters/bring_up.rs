@@ -42,11 +42,10 @@ on_both_buses! {
     a_brake_is_open_before_torque_comes
     a_brake_opens_under_a_protection_that_is_shorter
     a_brake_opens_though_its_drive_had_lost_its_master
-    a_brake_that_does_not_open_is_told
+    no_brake_is_opened_behind_which_nothing_would_hold
     a_load_stays_where_it_is
     no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
     a_protected_motor_stops_when_nobody_speaks
-    a_brake_that_does_not_open_is_told_with_its_motor
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
@@ -329,14 +328,15 @@ fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
 }
 
-fn a_brake_that_does_not_open_is_told<W: Wire>() {
-    // As far as this firmware says, whose drive has an error and holds nothing.
-    let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
-    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
-    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
-    let refused = bring_up::release_brake(&mut master(&bus), id(1));
-    let (motor, says) = (id(1), BrakeCommand::LOCK);
-    assert_eq!(refused, Err(BringUpError::BrakeNotReleased { motor, says }));
+fn no_brake_is_opened_behind_which_nothing_would_hold<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    let (motor, errors) = (id(1), ErrorFlags::STALL);
+    let refused = bring_up::release_brake(runner, motor);
+    assert_eq!(refused, Err(BringUpError::Fault { motor, errors }));
+    assert!(refused.unwrap_err().to_string().contains("motor 1 reports an error (motor stalled)"));
+    assert_eq!(state(drive).brake, BrakeCommand::LOCK);
 }
 
 /// And comes to rest behind its brake: it is lifted, held and put down again.
@@ -392,14 +392,6 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
     runner.ask(id(1), turn(50.0)).expect("it is there");
     listen(runner, millis(1_000));
     assert!(state(drive).output_on);
-}
-
-fn a_brake_that_does_not_open_is_told_with_its_motor<W: Wire>() {
-    let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
-    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
-    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
-    let refused = bring_up::release_brake(&mut master(&bus), id(1)).unwrap_err().to_string();
-    assert!(refused.contains("motor 1"), "{refused}");
 }
 
 /// Has this done to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 goes out. Gives what comes of it, and

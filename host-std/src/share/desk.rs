@@ -66,6 +66,11 @@ impl<E> Desk<E> {
     ) -> Awaited<Data, E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
+        let stop = StopKind::by(command.kind);
+        // Who began before somebody let it go does not switch it on by holding it.
+        if stop.is_some_and(|kind| state.stop_kind(motor, kind, since) != kind) {
+            return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
+        }
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }

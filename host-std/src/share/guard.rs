@@ -24,14 +24,13 @@ use crate::open::BusError;
 /// ```
 /// use myactuator_host_std::open::BusAddress;
 /// use myactuator_host_std::protocol::MotorId;
-/// use myactuator_host_std::protocol::command::ReleaseBrake;
 /// use myactuator_host_std::protocol::master::StopKind;
 /// use myactuator_host_std::share::{Guard, SharedBus};
 ///
 /// let address: BusAddress = "sim:4".parse()?;
 /// let bus = SharedBus::open(&address, StopKind::Hold)?;
 /// let guard = Guard::new(bus.clone(), StopKind::Hold);
-/// guard.ask(MotorId::MIN, ReleaseBrake)?;
+/// guard.release_brake(MotorId::MIN)?;
 /// let unconfirmed = guard.finish()?;
 /// assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -63,7 +62,6 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 /// ```
 /// use myactuator_host_std::open::BusAddress;
 /// use myactuator_host_std::protocol::MotorId;
-/// use myactuator_host_std::protocol::command::ReleaseBrake;
 /// use myactuator_host_std::protocol::master::StopKind;
 /// use myactuator_host_std::share::{Guards, SharedBus};
 ///
@@ -71,7 +69,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 /// let arms = [SharedBus::open(&address, StopKind::Hold)?, SharedBus::open(&address, StopKind::Hold)?];
 /// let arms = Guards::new(arms, StopKind::Hold);
 /// for arm in arms.iter() {
-///     arm.ask(MotorId::MIN, ReleaseBrake)?;
+///     arm.release_brake(MotorId::MIN)?;
 /// }
 /// for unconfirmed in arms.finish() {
 ///     let unconfirmed = unconfirmed?;

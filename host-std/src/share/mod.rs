@@ -29,7 +29,7 @@
 //!
 //! // A set-point never waits for the bus; what the motor says of it is kept.
 //! let elbow = MotorId::new(2)?;
-//! bus.ask(elbow, ReleaseBrake)?;
+//! bus.release_brake(elbow)?;
 //! let turn = Speed { max_torque: MaxTorque::from_raw(50), speed: SpeedTarget::from_dps(30.0)? };
 //! while bus.latest(elbow).is_none() {
 //!     bus.set_point(elbow, turn)?;
@@ -46,7 +46,8 @@
 //! # Before it is shared
 //! A handle is no [`Runner`](myactuator_protocol_core::io::Runner), and
 //! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one, but for brakes and moves that are watched to their
-//! end ([`release_brake`](SharedBus::release_brake), [`move_to`](SharedBus::move_to)): first contact, zeroing, another
+//! end ([`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
+//! [`move_to`](SharedBus::move_to)): first contact, zeroing, another
 //! id, restarts. Do these on the master, and share it then. [`SharedBus::new`] takes any master;
 //! its calls wait for up to 1 ms more than those of [`SharedBus::open`]. Whoever opens the port, and so has its clock,
 //! is spared that by [`with_wake`](SharedBus::with_wake).

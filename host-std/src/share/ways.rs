@@ -65,8 +65,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         ))
     }
 
-    /// Opens a motor's brake and waits until it is open, as
-    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does.
+    /// Opens a motor's brake behind which it holds, and waits until it is open, as
+    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. What another thread does
+    /// with the motor ends by that.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

@@ -2,24 +2,25 @@
 //! tasks, whose functions run these.
 //!
 //! A future of these that is dropped leaves off where it is: a motor may have been given its new id and
-//! not have been restarted.
+//! not have been restarted. Those that move a motor or open its brake put a stop then.
 
 use crate::command::{
-    BrakeCommand, CommunicationLossProtection, LockBrake, ReadModel, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
-    ReadVersionDate, ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown, Stop,
+    CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,
+    ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate, Reset, SetCurrentPositionZero,
+    Shutdown,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
+pub use crate::io::brake::{lock_brake, release_brake};
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::on_drop::OnDrop;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
-use crate::io::standing::{check_stands, turns};
+use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
@@ -29,10 +30,8 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ATTEMPTS: u8 = 2;
 /// How often a drive is told to restart that goes on running.
 const RESTARTS: u8 = 3;
-/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
-const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// How often a motor is spoken to that is waited for.
-const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
+pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
 
@@ -241,55 +240,6 @@ async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
     } else {
         Err(BringUpError::ZeroNotKept { motor, stored, found, angle })
     }
-}
-
-/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake).
-pub async fn release_brake<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<(), BringUpError<B::Error>> {
-    // One that has lost its master obeys the third command (2.31.1).
-    for _ in 0..2 {
-        bus.ask(motor, ReadStatus1).await?;
-    }
-    bus.ask(motor, ReleaseBrake).await?;
-    // At once: a load falls as soon as the brake opens, and behind a locked one a stop may do nothing.
-    bus.ask(motor, Stop).await?;
-    match moved_brake(bus, motor).await? {
-        BrakeCommand::RELEASE => Ok(()),
-        says => Err(BringUpError::BrakeNotReleased { motor, says }),
-    }
-}
-
-/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake).
-pub async fn lock_brake<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<(), BringUpError<B::Error>> {
-    let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    if turns(speed) {
-        return Err(BringUpError::Turns { motor, speed });
-    }
-    bus.ask(motor, LockBrake).await?;
-    match moved_brake(bus, motor).await? {
-        BrakeCommand::LOCK => Ok(()),
-        says => Err(BringUpError::BrakeNotLocked { motor, says }),
-    }
-}
-
-/// Gives a brake the time to open or to lock; what its drive says that it was told last.
-async fn moved_brake<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<BrakeCommand, CallError<B::Error>> {
-    let moved = bus.now() + BRAKE_MOVES;
-    // Without a word its communication-loss protection would lock it, and switch its motor off.
-    while bus.now() < moved {
-        bus.ask(motor, ReadStatus1).await?;
-        let next = bus.now() + SPOKEN_TO_EVERY;
-        bus.wait_until(next.min(moved)).await?;
-    }
-    Ok(bus.ask(motor, ReadStatus1).await?.brake)
 }
 
 /// As [`bring_up::protect`](crate::io::bring_up::protect).

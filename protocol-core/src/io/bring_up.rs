@@ -8,7 +8,7 @@ use core::ops::ControlFlow;
 
 use embassy_futures::block_on;
 
-use crate::command::{BrakeCommand, Mode, ModelName, Status1, VersionDate};
+use crate::command::{BrakeCommand, ErrorFlags, Mode, ModelName, Status1, VersionDate};
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
@@ -107,6 +107,28 @@ pub enum BringUpError<E> {
         motor: MotorId,
         /// What its drive says that the brake was told last.
         says: BrakeCommand,
+    },
+    /// The drive reports an error, so that nothing would hold the shaft behind a brake that opens. It is locked, or was
+    /// told to be.
+    #[error(
+        "motor {motor} reports an error ({errors}): nothing would hold its shaft behind an open brake"
+    )]
+    Fault {
+        /// The motor.
+        motor: MotorId,
+        /// What its drive reports.
+        errors: ErrorFlags,
+    },
+    /// The shaft turns behind a brake that was told to lock and has had the time to. [Open](release_brake) it, so that the
+    /// motor holds, or cut in otherwise.
+    #[error(
+        "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
+    )]
+    BrakeSlips {
+        /// The motor.
+        motor: MotorId,
+        /// How fast it turns.
+        speed: CoarseSpeed,
     },
     /// The drive does not return lock as its brake's last command: it may have none. What holds a load is to go on.
     #[error(
@@ -255,13 +277,14 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 }
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
-/// 2.19.1). The motor holds its shaft from the beginning (0x81), so that no load falls; one that moves is stopped by that.
-/// A shaft that is to turn freely is let go behind it, by [`Shutdown`](crate::command::Shutdown).
+/// 2.19.1). The motor holds its shaft from the beginning (0x81), so that no load falls; one that moves is stopped by that,
+/// whoever moves it. A shaft that is to turn freely is let go behind it, by [`Shutdown`](crate::command::Shutdown).
 ///
 /// Speed and position commands open a brake by themselves, and hold.
 ///
 /// # Errors
-/// [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`].
+/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`]. If the motor does not answer, its
+/// brake may be open all the same: it is [stopped](crate::master::Master::stop), until that is lifted.
 pub fn release_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -286,8 +309,11 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// }
 /// ```
 ///
+/// It looks at the shaft once, behind the brake. Whether that holds by itself shows when the motor is off: look at it
+/// again then. A motor that is off and sinks is refused as one that turns.
+///
 /// # Errors
-/// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::Call`].
+/// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
 pub fn lock_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -11,7 +11,7 @@ use crate::master::StopKind;
 use crate::time::Instant;
 
 /// A bus as [`move_to`](crate::io::async_bring_up::move_to) and
-/// [`release_brake`](crate::io::async_bring_up::release_brake) need it. Every [`AsyncRunner`] is one, and a handle to a
+/// the ways with a brake need it. Every [`AsyncRunner`] is one, and a handle to a
 /// loop that another thread runs may be: then `N` is of no consequence.
 #[allow(async_fn_in_trait, reason = "one task goes one way, so nothing asks for Send")]
 pub trait Calls<const N: usize> {

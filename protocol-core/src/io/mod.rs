@@ -21,6 +21,7 @@ pub mod async_bring_up;
 mod async_can;
 mod async_runner;
 mod async_serial;
+mod brake;
 pub mod bring_up;
 mod calls;
 mod can;

@@ -3,12 +3,13 @@
 use clap::ValueEnum;
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, ReadStatus1, ReleaseBrake};
+use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::time::Duration;
 
-use super::moving::LONGEST_WAIT;
+use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
 
@@ -56,38 +57,52 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
             session.standing(motor)?;
-            if !session.lock_brake(motor)? {
-                return Err(Unfinished::Failed(format!(
+            let held = session.ask(motor, ReadRunningMode)?.mode.raw() != 0;
+            let locked = session.lock_brake(motor).and_then(|says_so| match says_so {
+                true => session.brake_holds(motor),
+                false => Err(Unfinished::Failed(format!(
                     "motor {motor}: the brake was told to lock, and the motor says that it was not"
-                )));
-            }
-            session.brake_holds(motor)?;
+                ))),
+            });
+            locked.map_err(|why| if held { session.hold_again(motor, why) } else { why })?;
             say(&format!("motor {motor}: brake locked"))
         }
     }
 }
 
 impl Session {
-    /// Releases a brake behind which the motor holds, and waits until it is open. Whether the motor says that it is: one
-    /// that has acknowledged the command and says "lock" all the same is warned of.
-    pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome<bool> {
-        match bring_up::release_brake(&mut self.master, motor) {
-            Err(BringUpError::BrakeNotReleased { says, .. }) => {
-                warn_of(motor, says);
-                Ok(false)
-            }
-            outcome => self.unless_half_open(outcome).map(|()| true),
-        }
+    /// Releases a brake behind which the motor holds, and waits until it is open.
+    pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome {
+        let outcome = bring_up::release_brake(&mut self.master, motor);
+        self.unless_half_open(outcome)
     }
 
-    /// Releases a brake, and lets the shaft go. Whether the motor says so, as above.
+    /// The same, where what holds a load was switched off, or behind a brake that slips. What is true of it then.
+    pub(super) fn hold_again(&mut self, motor: MotorId, why: Unfinished) -> Unfinished {
+        self.master.off = self.master.off.without(motor.into());
+        self.master.master().lift_stop_of(motor);
+        // It is held also where that is not answered: its brake may be open all the same. No drive holds behind a locked
+        // one.
+        let _ = self.ask(motor, ReleaseBrake);
+        let held =
+            self.stop(StopKind::Hold, motor.into()).and_then(|()| self.stopped(motor.into()));
+        told_with_stop(why, held)
+    }
+
+    /// Releases a brake, and lets the shaft go. Whether the motor says that it is open: one that has acknowledged the
+    /// command and says "lock" all the same is warned of.
     fn let_go(&mut self, motor: MotorId) -> Outcome<bool> {
         // One that has lost its master obeys the third command (2.31.1).
         self.ask(motor, ReadStatus1)?;
         self.ask(motor, ReadStatus1)?;
         let told = self.master.ask(motor, ReleaseBrake).map(drop).map_err(BringUpError::Call);
         self.unless_half_open(told)?;
-        self.wait_until(self.master.now() + BRAKE_MOVES)?;
+        let moved = self.master.now() + BRAKE_MOVES;
+        // Without a word its protection would lock it again.
+        while self.master.now() < moved {
+            self.ask(motor, ReadStatus1)?;
+            self.wait_until(self.master.now() + LONGEST_WAIT)?;
+        }
         let says = self.ask(motor, ReadStatus1)?.brake;
         if says != BrakeCommand::RELEASE {
             warn_of(motor, says);
@@ -163,6 +178,6 @@ mod tests {
         let nobody = MotorId::new(9).unwrap();
         assert!(matches!(session.let_go(nobody), Err(Unfinished::Failed(_))));
         // While it holds, it says so.
-        assert_eq!(session.release_brake(MotorId::MIN), Ok(true));
+        assert_eq!(session.release_brake(MotorId::MIN), Ok(()));
     }
 }

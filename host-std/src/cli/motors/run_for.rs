@@ -7,7 +7,7 @@ use std::mem::replace;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    BrakeCommand, Command, ReadRunTime, ReadRunningMode, ReadStatus1, ReleaseBrake, RunTime,
+    BrakeCommand, Command, ReadRunTime, ReadRunningMode, ReadStatus1, RunTime,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
@@ -79,9 +79,9 @@ pub(super) fn run<C: Command + Copy>(
     // Until the answer a shaft may have been turned.
     may_run(session)?;
     let ended = session.moving(motor, |session| {
-        // One that says "lock" all the same may have no brake that would hold a load.
-        let says_open = !opens || session.release_brake(motor)?;
-        let end = if says_open { end } else { StopKind::Hold };
+        if opens {
+            session.release_brake(motor)?;
+        }
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
             StopKind::Off if opens => put_down(session, motor),
@@ -104,27 +104,23 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.stop(StopKind::Hold, motor.into())?;
     // Not on a shaft that turns still.
     session.come_to_rest(motor)?;
-    if !session.moving(motor, |session| session.lock_brake(motor))? {
+    let mut holds = match session.lock_brake(motor) {
         // It has none, so that only the motor holds what it holds.
-        return session
-            .stop(StopKind::Hold, motor.into())
-            .and_then(|()| session.stopped(motor.into()));
-    }
-    let mut holds = session.brake_holds(motor);
+        Ok(false) => {
+            let held = session.stop(StopKind::Hold, motor.into());
+            return held.and_then(|()| session.stopped(motor.into()));
+        }
+        Ok(true) => session.brake_holds(motor),
+        Err(why) => Err(why),
+    };
     if holds.is_ok() {
         session.confirm_stop(StopKind::Off, motor.into())?;
         // Only now does it hold alone: that is looked at before anything else.
         holds = session.brake_holds(motor);
     }
     if let Err(why) = holds {
-        // The motor held its load, so it is to hold that again: no drive does behind a locked brake.
-        session.master.off = session.master.off.without(motor.into());
-        session.master.master().lift_stop_of(motor);
-        let held = session
-            .ask(motor, ReleaseBrake)
-            .and_then(|_| session.stop(StopKind::Hold, motor.into()))
-            .and_then(|()| session.stopped(motor.into()));
-        return Err(told_with_stop(why, held));
+        // The motor held its load, so it is to hold that again.
+        return Err(session.hold_again(motor, why));
     }
     session.see_stopped(StopKind::Off, motor.into())?;
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
@@ -281,7 +277,7 @@ mod tests {
     fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
-        assert!(session.release_brake(MotorId::MIN).unwrap());
+        session.release_brake(MotorId::MIN).unwrap();
         // More than friction holds: 1 A are 2.3 N·m.
         let torque = Torque { current: Current::from_raw(100) };
         repeat(&mut session, &typed("--id 1"), torque, |_| String::new()).unwrap();
@@ -301,7 +297,7 @@ mod tests {
         let fleet = Fleet::new(1).brakes(true).quirks(quirks).load(load).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.ask(MotorId::MIN, Stop).unwrap();
-        assert!(session.release_brake(MotorId::MIN).unwrap());
+        session.release_brake(MotorId::MIN).unwrap();
         let angle_deg = || fleet.drives[0].with(|drive| drive.state().angle_deg);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         let held_deg = angle_deg();
@@ -331,7 +327,7 @@ mod tests {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
-        assert!(session.release_brake(MotorId::MIN).unwrap());
+        session.release_brake(MotorId::MIN).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
         let Err(Unfinished::Failed(told)) = put_down(&mut session, MotorId::MIN) else {
             panic!("its load falls")

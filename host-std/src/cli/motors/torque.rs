@@ -13,7 +13,7 @@ use crate::cli::{Outcome, arguments as parse};
 ///
 /// Nothing limits the speed. A locked brake is released first; then the end is to stop (0x81), to lock
 /// the brake again and to switch off, so that no load falls. One that ran something before, with its brake open, is not
-/// switched off but holds still (0x81) at the end; so does one whose brake says that it is locked after it was released.
+/// switched off but holds still (0x81) at the end; so does one that has no brake.
 /// Ctrl-C and errors stop the motor (0x81)
 /// at once: it holds still, its brake open. Exit status: 0 if it has run, 1 if not, 2 for
 /// wrong usage, 130 if interrupted.

@@ -397,6 +397,19 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
 }
 
 #[test]
+fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_hold_it() {
+    let desk = new_desk();
+    let (since, hold) = (desk.past(id(1)), Untyped::of(&Stop));
+    drop(ask(&desk, 1, Shutdown));
+    let refused = desk.ask(id(1), hold, Insistence::Usual, Some(since)).err().unwrap();
+    tells(&refused, 1, RequestError::Stopped);
+    // Who lets it go, too, or begins now, does as it says.
+    assert!(desk.ask(id(1), Untyped::of(&Shutdown), Insistence::Usual, Some(since)).is_ok());
+    let now = Some(desk.past(id(1)));
+    assert!(desk.ask(id(1), hold, Insistence::Usual, now).is_ok());
+}
+
+#[test]
 fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
     let desk = new_desk();
     desk.order(Order::Resume(id(1))).unwrap();

@@ -36,7 +36,7 @@ fn arm() -> (TestCan, CanMaster<TestCan, TestClock, 4>) {
 }
 
 /// A bus from which frames come otherwise: once, twice, or not at all.
-struct Heard<F>(TestCan, F, Vec<SimpleFrame>);
+pub(super) struct Heard<F>(TestCan, F, Vec<SimpleFrame>);
 
 impl<F: FnMut(&Packet) -> usize> nb::Can for Heard<F> {
     type Frame = SimpleFrame;
@@ -59,7 +59,9 @@ impl<F: FnMut(&Packet) -> usize> nb::Can for Heard<F> {
     }
 }
 
-fn hearing<F: FnMut(&Packet) -> usize>(times: F) -> (TestCan, CanMaster<Heard<F>, TestClock, 4>) {
+pub(super) fn hearing<F: FnMut(&Packet) -> usize>(
+    times: F,
+) -> (TestCan, CanMaster<Heard<F>, TestClock, 4>) {
     let (bus, _, arm) =
         on_can(|bus, clock, config| CanMaster::new(Heard(bus, times, Vec::new()), clock, config));
     (bus, arm)

@@ -2,20 +2,22 @@
 
 use core::future::poll_fn;
 use core::ops::ControlFlow;
+use std::string::ToString as _;
+use std::vec::Vec;
 
 use embedded_can::nb;
 
-use super::calls::{Says, says};
+use super::calls::{Says, hearing, says};
 use super::world::{Broken, TestCan, TestClock, block_on, on_can, pending};
 use super::{id, step};
 use crate::Data;
-use crate::command::{AbsolutePosition, Command, ErrorFlags};
+use crate::command::{AbsolutePosition, BrakeCommand, Command, ErrorFlags};
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::async_bring_up::{Calls, move_to};
-use crate::io::bring_up::{self, MoveFailure, MoveLimits, MoveProgress};
-use crate::io::{AsyncCan, AsyncCanMaster, CallError};
-use crate::master::StopKind;
+use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress};
+use crate::io::{AsyncCan, AsyncCanMaster, CallError, Runner};
+use crate::master::{Failure, StopKind};
 use crate::time::Instant;
 use crate::units::{Angle, MaxSpeed};
 use crate::wire::can::SimpleFrame;
@@ -82,6 +84,54 @@ fn who_arrives_and_runs_nothing_has_not_arrived() {
         let here = MoveFailure::LetGo { at: Angle::from_raw(36_000) };
         assert_eq!(moved.map(drop).map_err(|it| it.why), if let_go { Err(here) } else { Ok(()) });
     }
+}
+
+/// What it is told to do may be obeyed and the answer lost: its brake would open, and nothing hold behind it.
+#[test]
+fn who_does_not_answer_when_its_brake_opens_is_told_to_hold_each_time() {
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x77));
+    let told = bring_up::release_brake(&mut arm, id(1));
+    let (motor, failure) = (id(1), Failure::NoReply);
+    assert_eq!(told, Err(CallError::Failed { motor, failure }.into()));
+    let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte < 0x90);
+    // Once more, when what was not answered must have come.
+    let each = [0x77, 0x81, 0x81];
+    assert_eq!(sent.collect::<Vec<_>>(), [each; 3].concat());
+    assert!(arm.master().is_stopped(id(1)));
+    // Where it is refused, nothing is sent.
+    assert!(bring_up::release_brake(&mut arm, id(1)).is_err());
+    assert!(!bus.sent()[..].ends_with(&[[0x77, 0, 0, 0, 0, 0, 0, 0]]));
+}
+
+/// An error that comes while it opens: only the brake can hold then.
+#[test]
+fn who_reports_an_error_while_its_brake_opens_is_told_to_lock_it() {
+    let mut left = 4;
+    let (bus, mut arm) = says(|data| {
+        if data[0] == 0x9A {
+            left -= i32::from(left > 0);
+            data[6] = if left > 0 { 0 } else { 0x04 };
+        }
+    });
+    let (motor, errors) = (id(1), ErrorFlags::UNDER_VOLTAGE);
+    assert_eq!(
+        bring_up::release_brake(&mut arm, motor),
+        Err(BringUpError::Fault { motor, errors })
+    );
+    assert_eq!(bus.sent().last().map(|data| data[0]), Some(0x78));
+}
+
+#[test]
+fn a_brake_that_does_not_say_that_it_opens_is_told() {
+    let (_, mut arm) = says(|data| {
+        if data[0] == 0x9A {
+            data[3] = 0;
+        }
+    });
+    let (motor, says) = (id(1), BrakeCommand::LOCK);
+    let told = bring_up::release_brake(&mut arm, motor);
+    assert_eq!(told, Err(BringUpError::BrakeNotReleased { motor, says }));
+    assert!(told.unwrap_err().to_string().contains("motor 1"));
 }
 
 /// A handle to a loop that another thread runs: nobody is told of a restart with the answer that shows it.

@@ -423,7 +423,7 @@ impl Motor {
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else {
-            self.note_first_heard(now);
+            self.note_first_heard(config, now);
             return false;
         };
         let silence = now - before;

@@ -104,8 +104,9 @@ impl Motor {
 
     /// It is heard for the first time, so that it has started, unless it was told to start anew: that may be yet to come.
     #[inline(never)]
-    pub(super) fn note_first_heard(&mut self, now: Instant) {
-        if step_of(now).wrapping_sub(self.started_by) < MAY_WRAP {
+    pub(super) fn note_first_heard(&mut self, config: &Config, now: Instant) {
+        let ahead = self.started_by.wrapping_sub(step_of(now));
+        if ahead > steps(config.restart_time) {
             self.started_by = step_of(now);
         }
     }

@@ -1,0 +1,112 @@
+//! Opening and locking a holding brake, so that no load falls.
+
+use crate::command::{
+    BrakeCommand, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Status1, Stop,
+};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_bring_up::SPOKEN_TO_EVERY;
+use crate::io::bring_up::BringUpError;
+use crate::io::calls::Calls;
+use crate::io::on_drop::OnDrop;
+use crate::io::standing::turns;
+use crate::master::{Failure, StopKind};
+use crate::time::Duration;
+
+/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
+const BRAKE_MOVES: Duration = Duration::from_millis(200);
+/// How often a brake is told to open that does not answer.
+const RELEASES: u8 = 3;
+
+/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped on the way, the stop is
+/// in force, and the first thing that any other future of the loop sends.
+pub async fn release_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    // One that has lost its master obeys the third command (2.31.1).
+    bus.ask(motor, ReadStatus1).await?;
+    let fails = |status: Status1| BringUpError::Fault { motor, errors: status.errors };
+    let has_errors = |status: &Status1| !status.errors.is_empty();
+    let before = bus.ask(motor, ReadStatus1).await?;
+    if has_errors(&before) {
+        return Err(fails(before));
+    }
+    open_and_hold(bus, motor).await?;
+    let status = moved(bus, motor, has_errors).await?;
+    if has_errors(&status) {
+        // Only the brake can hold the shaft now. What comes of that changes nothing.
+        let _ = bus.ask(motor, LockBrake).await;
+        return Err(fails(status));
+    }
+    match status.brake {
+        BrakeCommand::RELEASE => Ok(()),
+        says => Err(BringUpError::BrakeNotReleased { motor, says }),
+    }
+}
+
+/// Leaves a motor that holds, or whose stop is in force, unless its brake was not told to open.
+async fn open_and_hold<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), CallError<B::Error>> {
+    let opening = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, StopKind::Hold));
+    let mut told = Ok(());
+    for _ in 0..RELEASES {
+        told = opening.it.ask_often(motor, ReleaseBrake, Some(1)).await.map(drop);
+        match told {
+            Err(
+                CallError::Refused { .. } | CallError::Failed { failure: Failure::Stopped, .. },
+            ) => {
+                opening.end();
+                return told;
+            }
+            Err(CallError::Bus(_)) => return told,
+            _ => {}
+        }
+        // At once, answered or not: it may open all the same, a load falls then, and behind a locked one a stop may do
+        // nothing.
+        opening.it.ask(motor, Stop).await?;
+        if told.is_ok() {
+            opening.end();
+            return told;
+        }
+    }
+    told
+}
+
+/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake).
+pub async fn lock_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    let speed = bus.ask(motor, ReadStatus2).await?.speed;
+    if turns(speed) {
+        return Err(BringUpError::Turns { motor, speed });
+    }
+    bus.ask(motor, LockBrake).await?;
+    let says = moved(bus, motor, |_| false).await?.brake;
+    if says != BrakeCommand::LOCK {
+        return Err(BringUpError::BrakeNotLocked { motor, says });
+    }
+    let speed = bus.ask(motor, ReadStatus2).await?.speed;
+    if turns(speed) { Err(BringUpError::BrakeSlips { motor, speed }) } else { Ok(()) }
+}
+
+/// Gives a brake the time to open or to lock, unless it is over before; how the drive is then.
+async fn moved<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    is_over: impl Fn(&Status1) -> bool,
+) -> Result<Status1, CallError<B::Error>> {
+    let moved = bus.now() + BRAKE_MOVES;
+    loop {
+        // Without a word its communication-loss protection would lock it, and switch its motor off.
+        let status = bus.ask(motor, ReadStatus1).await?;
+        let now = bus.now();
+        if now >= moved || is_over(&status) {
+            return Ok(status);
+        }
+        bus.wait_until(moved.min(now + SPOKEN_TO_EVERY)).await?;
+    }
+}
