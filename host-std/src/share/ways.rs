@@ -66,8 +66,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Opens a motor's brake behind which it holds, and waits until it is open, as
-    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. What another thread does
-    /// with the motor ends by that.
+    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. What another thread has
+    /// the motor do until then ends by that.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -77,7 +77,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Locks the brake of a motor that stands, and waits until it has had the time to, as
     /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
-    /// that comes meanwhile may open it again: [stop](Self::stop) the motor first.
+    /// that comes meanwhile may open it again: [stop](Self::stop) the motor first. That is to be
+    /// [lifted](Self::lift_stop_of) before the brake is opened again.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -128,7 +129,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<Self::Error>> {
         let insistence = attempts.map_or(Insistence::Usual, Insistence::Attempts);
-        self.bus.put(motor, &command, insistence, Some(self.since)).map_err(call_error)
+        let ends_motion = command.kind().ends_motion();
+        let reply = self.bus.put(motor, &command, insistence, Some(self.since));
+        if ends_motion && reply.is_ok() {
+            self.since.note_own_end();
+        }
+        reply.map_err(call_error)
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {

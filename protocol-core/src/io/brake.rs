@@ -18,8 +18,9 @@ const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// How often a brake is told to open that does not answer.
 const RELEASES: u8 = 3;
 
-/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped on the way, the stop is
-/// in force, and the first thing that any other future of the loop sends.
+/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped from when the brake is
+/// told to open until the motor has confirmed that it holds, the stop is in force, and the first thing that any other
+/// future of the loop sends. Behind that it goes on holding, and nobody looks for errors.
 pub async fn release_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -30,6 +31,9 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     let has_errors = |status: &Status1| !status.errors.is_empty();
     let before = bus.ask(motor, ReadStatus1).await?;
     if has_errors(&before) {
+        if before.brake != BrakeCommand::LOCK {
+            let _ = bus.ask(motor, LockBrake).await;
+        }
         return Err(fails(before));
     }
     open_and_hold(bus, motor).await?;
@@ -52,17 +56,18 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
 ) -> Result<(), CallError<B::Error>> {
     let opening = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, StopKind::Hold));
     let mut told = Ok(());
-    for _ in 0..RELEASES {
+    for round in 0..RELEASES {
         told = opening.it.ask_often(motor, ReleaseBrake, Some(1)).await.map(drop);
-        match told {
-            Err(
-                CallError::Refused { .. } | CallError::Failed { failure: Failure::Stopped, .. },
-            ) => {
-                opening.end();
-                return told;
-            }
-            Err(CallError::Bus(_)) => return told,
-            _ => {}
+        let is_unsent = matches!(
+            told,
+            Err(CallError::Refused { .. } | CallError::Failed { failure: Failure::Stopped, .. })
+        );
+        if is_unsent && round == 0 {
+            opening.end();
+            return told;
+        }
+        if is_unsent || matches!(told, Err(CallError::Bus(_))) {
+            return told;
         }
         // At once, answered or not: it may open all the same, a load falls then, and behind a locked one a stop may do
         // nothing.

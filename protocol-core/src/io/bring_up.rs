@@ -109,7 +109,7 @@ pub enum BringUpError<E> {
         says: BrakeCommand,
     },
     /// The drive reports an error, so that nothing would hold the shaft behind a brake that opens. It is locked, or was
-    /// told to be.
+    /// told to be, whether that was answered or not.
     #[error(
         "motor {motor} reports an error ({errors}): nothing would hold its shaft behind an open brake"
     )]
@@ -120,7 +120,8 @@ pub enum BringUpError<E> {
         errors: ErrorFlags,
     },
     /// The shaft turns behind a brake that was told to lock and has had the time to. [Open](release_brake) it, so that the
-    /// motor holds, or cut in otherwise.
+    /// motor holds, or cut in otherwise. Where the motor is stopped, [lift that](crate::master::Master::lift_stop_of)
+    /// before: else it is refused.
     #[error(
         "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
     )]
@@ -283,8 +284,11 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Speed and position commands open a brake by themselves, and hold.
 ///
 /// # Errors
-/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`]. If the motor does not answer, its
-/// brake may be open all the same: it is [stopped](crate::master::Master::stop), until that is lifted.
+/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`]. If the motor does not answer that
+/// its brake is to open, or that it is to hold, or the bus fails then, the brake may be open all the same: it is
+/// [stopped](crate::master::Master::stop), until that is lifted. It is told to hold when an answer is late, so let
+/// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. Where somebody
+/// else has switched it off meanwhile, its brake may be open, too: lock that, which no stop refuses.
 pub fn release_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -20,7 +20,8 @@ const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
 /// Release or lock a motor's brake
 ///
-/// A turning motor's brake is not locked: stop the motor first. Exit status: 0 if the motor has
+/// A turning motor's brake is not locked: stop the motor first. If one that held does not stand behind its brake, that is
+/// opened again and the motor holds (0x77, 0x81). Exit status: 0 if the motor has
 /// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -57,14 +58,18 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
             session.standing(motor)?;
-            let held = session.ask(motor, ReadRunningMode)?.mode.raw() != 0;
+            let held = session.ask(motor, ReadRunningMode)?.mode.raw() != 0
+                && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
             let locked = session.lock_brake(motor).and_then(|says_so| match says_so {
                 true => session.brake_holds(motor),
                 false => Err(Unfinished::Failed(format!(
                     "motor {motor}: the brake was told to lock, and the motor says that it was not"
                 ))),
             });
-            locked.map_err(|why| if held { session.hold_again(motor, why) } else { why })?;
+            locked.map_err(|why| match why {
+                Unfinished::Failed(_) if held => session.hold_again(motor, why),
+                why => why,
+            })?;
             say(&format!("motor {motor}: brake locked"))
         }
     }
@@ -81,9 +86,8 @@ impl Session {
     pub(super) fn hold_again(&mut self, motor: MotorId, why: Unfinished) -> Unfinished {
         self.master.off = self.master.off.without(motor.into());
         self.master.master().lift_stop_of(motor);
-        // It is held also where that is not answered: its brake may be open all the same. No drive holds behind a locked
-        // one.
-        let _ = self.ask(motor, ReleaseBrake);
+        // No drive holds behind a locked one. What comes of it otherwise changes nothing: it may be open all the same.
+        let _ = bring_up::release_brake(&mut self.master, motor);
         let held =
             self.stop(StopKind::Hold, motor.into()).and_then(|()| self.stopped(motor.into()));
         told_with_stop(why, held)

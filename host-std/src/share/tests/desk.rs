@@ -409,6 +409,21 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_hold_it() {
     assert!(desk.ask(id(1), hold, Insistence::Usual, now).is_ok());
 }
 
+/// As a brake is opened behind a hold, again where that is not answered.
+#[test]
+fn who_has_ended_a_motion_himself_goes_on_with_the_motor_unless_another_ends_it_too() {
+    let desk = new_desk();
+    let release =
+        |since| desk.ask(id(1), Untyped::of(&ReleaseBrake), Insistence::Usual, Some(since));
+    let mut since = desk.past(id(1));
+    drop(desk.ask(id(1), Untyped::of(&Stop), Insistence::Usual, Some(since)).unwrap());
+    assert!(release(since).is_err());
+    since.note_own_end();
+    assert!(release(since).is_ok());
+    drop(ask(&desk, 1, Stop));
+    assert!(release(since).is_err());
+}
+
 #[test]
 fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
     let desk = new_desk();

@@ -105,9 +105,9 @@ impl Motor {
     /// It is heard for the first time, so that it has started, unless it was told to start anew: that may be yet to come.
     #[inline(never)]
     pub(super) fn note_first_heard(&mut self, config: &Config, now: Instant) {
-        let ahead = self.started_by.wrapping_sub(step_of(now));
-        if ahead > steps(config.restart_time) {
-            self.started_by = step_of(now);
+        let (now, latest) = (step_of(now), step_of(now + config.restart_time));
+        if self.started_by.wrapping_sub(now) > latest.wrapping_sub(now) {
+            self.started_by = now;
         }
     }
 
