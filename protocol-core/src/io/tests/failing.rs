@@ -1,7 +1,7 @@
 //! Controllers that overrun, that have few places, and that fail for good; and two motors that say the same.
 
 use core::cell::RefCell;
-use core::future::{Future, poll_fn};
+use core::future::Future;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use std::collections::VecDeque;
@@ -10,13 +10,13 @@ use std::vec::Vec;
 
 use embedded_can::{ErrorKind, nb};
 
-use super::world::{TestClock, TestSerial, block_on, on_rs485, pending, polls};
+use super::world::{TestClock, TestSerial, awaited, block_on, on_rs485, pending, polls};
 use super::{id, step, torque};
 use crate::command::ReadMultiTurnAngle;
 use crate::id::Target;
 use crate::io::{
-    AsyncCan, AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Runner,
-    SerialMaster, bring_up,
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Runner, SerialMaster,
+    bring_up,
 };
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::opcode::Opcode;
@@ -120,18 +120,7 @@ impl nb::Can for Odd {
     }
 }
 
-impl AsyncCan for Odd {
-    type Frame = SimpleFrame;
-    type Error = Reported;
-
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Reported> {
-        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
-    }
-
-    async fn receive(&mut self) -> Result<SimpleFrame, Reported> {
-        poll_fn(|_| pending(nb::Can::receive(self))).await
-    }
-}
+awaited! { [] Odd }
 
 type Looked = (Rc<RefCell<State>>, TestClock);
 

@@ -1,14 +1,11 @@
 //! Watched moves: what ends them, in both kinds of loop, and through a handle to one.
 
-use core::future::poll_fn;
 use core::ops::ControlFlow;
 use std::string::ToString as _;
 use std::vec::Vec;
 
-use embedded_can::nb;
-
 use super::calls::{Says, hearing, says};
-use super::world::{Broken, TestCan, TestClock, block_on, on_can, pending};
+use super::world::{Broken, TestCan, TestClock, awaited, block_on, on_can, pending};
 use super::{id, step};
 use crate::Data;
 use crate::command::{AbsolutePosition, BrakeCommand, Command, ErrorFlags};
@@ -16,24 +13,13 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::async_bring_up::{Calls, move_to};
 use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress};
-use crate::io::{AsyncCan, AsyncCanMaster, CallError, Runner};
+use crate::io::{AsyncCanMaster, CallError, Runner};
 use crate::master::{Failure, StopKind};
 use crate::time::Instant;
 use crate::units::{Angle, MaxSpeed};
 use crate::wire::can::SimpleFrame;
 
-impl<F: FnMut(&mut Data)> AsyncCan for Says<F> {
-    type Frame = SimpleFrame;
-    type Error = Broken;
-
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
-        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
-    }
-
-    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
-        poll_fn(|_| pending(nb::Can::receive(self))).await
-    }
-}
+awaited! { [F: FnMut(&mut Data)] Says<F> }
 
 fn go_on(_: &MoveProgress) -> ControlFlow<()> {
     ControlFlow::Continue(())

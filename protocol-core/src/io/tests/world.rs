@@ -12,7 +12,7 @@ use embedded_can::{Frame as _, nb};
 
 use crate::Data;
 use crate::id::Target;
-use crate::io::{AsyncCan, AsyncClock, Clock};
+use crate::io::{AsyncClock, Clock};
 use crate::master::Config;
 use crate::packet::{Channel, Packet};
 use crate::time::Instant;
@@ -210,18 +210,30 @@ pub(super) fn pending<T, E>(result: ::nb::Result<T, E>) -> Poll<Result<T, E>> {
     }
 }
 
-impl AsyncCan for TestCan {
-    type Frame = SimpleFrame;
-    type Error = Broken;
+/// Has a controller that is polled be awaited, too.
+macro_rules! awaited {
+    ([$($generics:tt)*] $can:ty) => {
+        impl<$($generics)*> $crate::io::AsyncCan for $can {
+            type Frame = SimpleFrame;
+            type Error = <Self as embedded_can::nb::Can>::Error;
 
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
-        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
-    }
+            async fn transmit(
+                &mut self,
+                frame: &SimpleFrame,
+            ) -> Result<Option<SimpleFrame>, Self::Error> {
+                core::future::poll_fn(|_| pending(embedded_can::nb::Can::transmit(self, frame))).await
+            }
 
-    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
-        poll_fn(|_| pending(nb::Can::receive(self))).await
-    }
+            async fn receive(&mut self) -> Result<SimpleFrame, Self::Error> {
+                core::future::poll_fn(|_| pending(embedded_can::nb::Can::receive(self))).await
+            }
+        }
+    };
 }
+
+pub(super) use awaited;
+
+awaited! { [] TestCan }
 
 #[derive(Debug, Default)]
 pub(super) struct SerialState {
