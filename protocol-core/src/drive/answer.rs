@@ -234,9 +234,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Opcode::LockBrake => {
                 let at = self.brake_moves_at(now);
                 self.brake.lock(at, now);
-                if !self.brake.is_open(now) {
-                    self.controller.shut_down();
-                } else if self.brake.holds() && !self.controller.is_off() {
+                if self.follow_brake(now) && self.brake.holds() && !self.controller.is_off() {
                     let input = self.input();
                     self.controller.set(SetPoint::Stop, &input);
                 }

@@ -93,6 +93,15 @@ impl<P, M> Drive<P, M> {
         }
     }
 
+    /// Whether its brake lets the shaft go at `now`. Once it holds, what has held until then goes off.
+    pub(super) fn follow_brake(&mut self, now: Instant) -> bool {
+        let is_open = self.brake.is_open(now);
+        if !is_open && self.brake.holds() {
+            self.controller.shut_down();
+        }
+        is_open
+    }
+
     /// When the brake lets the shaft go, or holds it, if it gets the command to that now.
     pub(super) fn brake_moves_at(&mut self, now: Instant) -> Instant {
         if self.parameters.quirks.slow_brake {

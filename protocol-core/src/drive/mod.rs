@@ -405,21 +405,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     fn step(&mut self, end: Instant, period: Duration) {
         self.events.now = end;
         let input = self.input();
-        let mut actuation = Actuation::default();
+        let brake_released = self.follow_brake(self.clock);
+        let mut actuation = Actuation { brake_released, ..Actuation::default() };
         if matches!(self.life, Life::Running { .. }) {
-            actuation.brake_released = self.brake.is_open(self.clock);
-            if !actuation.brake_released && self.brake.holds() {
-                self.controller.shut_down();
-            }
             let (gains, accelerations) = (&self.active.gains, &self.active.accelerations);
             let dt = period.as_secs_f32();
             if let Some(current_a) = self.controller.step(&input, gains, accelerations, dt) {
                 actuation.output_on = true;
                 actuation.current_a = current_a;
             }
-        } else {
-            // Without a brake, nothing holds the shaft.
-            actuation.brake_released = self.brake.is_open(self.clock);
         }
         self.act(&actuation, period);
         self.clock = end;
