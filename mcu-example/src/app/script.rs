@@ -6,6 +6,7 @@ use myactuator_protocol_core::command::{
     Switch, VersionDate,
 };
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Angle;
@@ -122,9 +123,6 @@ const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
 const LOCK: &[Question] = &[Question::LockBrake];
 const WAIT: &[Question] = &[];
-
-/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen.
-const BRAKE_MOVES: Duration = Duration::from_millis(200);
 
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,7 +14,7 @@ use crate::master::{Failure, StopKind};
 use crate::time::Duration;
 
 /// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
-const BRAKE_MOVES: Duration = Duration::from_millis(200);
+pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// How often a brake is told to open that does not answer.
 const RELEASES: u8 = 3;
 

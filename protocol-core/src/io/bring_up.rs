@@ -12,6 +12,7 @@ use crate::command::{BrakeCommand, ErrorFlags, Mode, ModelName, Status1, Version
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
+pub use crate::io::brake::BRAKE_MOVES;
 pub use crate::io::move_to::{
     MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, WhenStalled,
 };

@@ -5,7 +5,7 @@ use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+use myactuator_protocol_core::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::time::Duration;
 
@@ -13,8 +13,6 @@ use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
 
-/// How long a brake takes to open at the most.
-const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// In so long a load turns a shaft that its brake does not hold.
 const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
@@ -88,9 +86,7 @@ impl Session {
         self.master.master().lift_stop_of(motor);
         // No drive holds behind a locked one. What comes of it otherwise changes nothing: it may be open all the same.
         let _ = bring_up::release_brake(&mut self.master, motor);
-        let held =
-            self.stop(StopKind::Hold, motor.into()).and_then(|()| self.stopped(motor.into()));
-        told_with_stop(why, held)
+        told_with_stop(why, self.stopped_by(StopKind::Hold, motor.into()))
     }
 
     /// Releases a brake, and lets the shaft go. Whether the motor says that it is open: one that has acknowledged the

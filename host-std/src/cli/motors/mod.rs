@@ -54,8 +54,8 @@ pub(super) enum Subcommand {
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
     /// A brake takes some 50 to 150 ms to lock: where a load could fall, 'myactuator stop' and 'myactuator brake lock' come
-    /// before it. For 250 ms after that it is seen whether another program commands them, which switches them on again: one that
-    /// does so less often than that passes unnoticed.
+    /// before it. For 250 ms after that it is seen whether another program commands them, which switches them on again:
+    /// one that does so less often than that passes unnoticed.
     #[command(after_help = halt::OF_ALL)]
     Shutdown(session::Motors),
     Brake(brake::Arguments),

@@ -120,8 +120,7 @@ impl Session {
                     (why, _) => why,
                 };
                 self.again.store(false, Ordering::Relaxed);
-                let stopped = self.stop(StopKind::Hold, motors);
-                told_with_stop(why, stopped.and_then(|()| self.stopped(motors)))
+                told_with_stop(why, self.stopped_by(StopKind::Hold, motors))
             }),
             Err(panic) => {
                 if let Err(Unfinished::Failed(not_stopped)) = self.stop(StopKind::Hold, motors) {
@@ -136,6 +135,11 @@ impl Session {
     pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         self.confirm_stop(kind, motors)?;
         self.see_stopped(kind, motors)
+    }
+
+    /// Stops these motors, as above, and says how they are.
+    pub(super) fn stopped_by(&mut self, kind: StopKind, motors: MotorSet) -> Outcome<String> {
+        self.stop(kind, motors).and_then(|()| self.stopped(motors))
     }
 
     /// Stops these motors and waits until they have confirmed; a line that fails for a moment is waited for.

@@ -85,7 +85,7 @@ pub(super) fn run<C: Command + Copy>(
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
             StopKind::Off if opens => put_down(session, motor),
-            kind => session.stop(kind, motor.into()).and_then(|()| session.stopped(motor.into())),
+            kind => session.stopped_by(kind, motor.into()),
         };
         // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
         session.check_interrupted()?;
@@ -106,10 +106,7 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.come_to_rest(motor)?;
     let mut holds = match session.lock_brake(motor) {
         // It has none, so that only the motor holds what it holds.
-        Ok(false) => {
-            let held = session.stop(StopKind::Hold, motor.into());
-            return held.and_then(|()| session.stopped(motor.into()));
-        }
+        Ok(false) => return session.stopped_by(StopKind::Hold, motor.into()),
         Ok(true) => session.brake_holds(motor),
         Err(why) => Err(why),
     };
