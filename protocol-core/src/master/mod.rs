@@ -37,16 +37,17 @@
 //! reset. An answer can also be wrong if a drive answers twice or a command reaches it twice (the second reply may be
 //! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
 //! same time (on a line its command alone may look like the reply), or if a drive reports by itself what it was asked
-//! for (an error, or what it was told to report no more and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
-//! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On
-//! RS485 an echo that nobody configured confirms a stop, passes for values that are all 0, or for a move that its drive
-//! has ignored, if noise has taken the echoes of four reads in a row, and neither these reads nor their answers, or
-//! fewer, where answers came late or twice while the next read went into a cut; and any echo does that comes more than
-//! 100 ms after its sending although the port was found empty meanwhile. A restart shows by a second in which nothing is heard of
-//! the motor and an answer that does not come, or a move that is to go then, by a run time that is shorter than it
-//! must be when it is read (0xB1), or by an angle that jumps under a stream; one that shows by none of these is not
-//! noticed. Feedback that comes later and later may be taken for such a jump, at thousands of degrees a second. And
-//! a stop cannot be confirmed by a motor whose replies do not come through: then cut its power.
+//! for (an error, or what it was told to report no more and has not heard). A drive that has lost its master sends back
+//! the first command and ignores it: if its message of that was not heard, this may be taken for the acknowledgement of
+//! a command, or for values that are all 0. On RS485 an echo that nobody configured confirms a stop, passes for values
+//! that are all 0, or for a move that its drive has ignored, if noise has taken the echoes of four reads in a row, and
+//! neither these reads nor their answers, or fewer, where answers came late or twice while the next read went into a
+//! cut; and any echo does that comes more than 100 ms after its sending although the port was found empty meanwhile. A
+//! restart shows by a second in which nothing is heard of the motor and an answer that does not come, or a move that is
+//! to go then, by a run time that is shorter than it must be when it is read (0xB1), or by an angle that jumps under a
+//! stream; one that shows by none of these is not noticed. Feedback that comes later and later may be taken for such a
+//! jump, at thousands of degrees a second. And a stop cannot be confirmed by a motor whose replies do not come through:
+//! then cut its power.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
