@@ -182,6 +182,10 @@ impl<const N: usize> State<N> {
         let truth = &mut self.world.truth[motor];
         let is_off = kind == StopKind::Off || truth.is_off;
         let kind = if is_off { StopKind::Off } else { StopKind::Hold };
+        if !truth.is_stopping && truth.is_told_for_all(kind) {
+            (truth.is_stopping, truth.stop_kind, truth.stop_call) =
+                (true, Some(kind), truth.all_call);
+        }
         let goes_on = truth.is_stopping && truth.stop_kind == Some(kind);
         (truth.is_off, truth.wants, truth.stop_kind) = (is_off, Some(kind), Some(kind));
         truth.last_stop = number;

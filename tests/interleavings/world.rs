@@ -186,6 +186,15 @@ impl Truth {
         }
     }
 
+    /// Whether it is being told by itself what all were told to end motion, and was sent nothing since that moves it.
+    pub(crate) fn is_told_for_all(&self, kind: StopKind) -> bool {
+        let is_newer = |sent: u32| sent >> self.all_call != 0;
+        self.all_call != 0
+            && self.stop_taken == Some((self.all_call, kind))
+            && !is_newer(self.set_points_sent)
+            && !is_newer(self.moves_sent)
+    }
+
     fn hash_all<H: Hasher>(&self, hasher: &mut H) {
         self.open.map(|open| open.data).hash(hasher);
         (self.is_stopped, self.is_off, self.is_stopping, self.is_wanted_sent).hash(hasher);
