@@ -7,7 +7,7 @@ use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::transmit::ForAll;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -137,9 +137,11 @@ impl<const N: usize> Master<N> {
             }
         }
         let (round, offer) = first?;
-        // One round ahead of a motor that may be waiting for its turn is enough.
+        // One round ahead of a motor that may be waiting for its turn is enough; and none where this could push its frame
+        // out.
+        let next = round.wrapping_add((self.pushes_out_for(now) > Duration::ZERO).into());
         let mut all = self.at(self.places.in_flight);
-        (!all.any(|(_, motor)| motor.is_waited_for(round))).then_some(offer)
+        (!all.any(|(_, motor)| motor.is_waited_for(next))).then_some(offer)
     }
 
     /// What may go of this motor: where both may, its set-point and its request in turn.
@@ -251,6 +253,14 @@ impl<const N: usize> Master<N> {
         }
     }
 
+    /// How long yet more than one frame may lie in mailboxes and be pushed out of them.
+    fn pushes_out_for(&self, now: Instant) -> Duration {
+        match self.pushes_out {
+            true => (self.busy_until - now) - self.config.frame_time,
+            false => Duration::ZERO,
+        }
+    }
+
     /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
     /// that were lost look quiet, too, but seldom three in a row.
     pub(super) fn quiet_at(&self) -> Instant {
@@ -298,6 +308,9 @@ impl<const N: usize> Master<N> {
                 self.choose(self.busy_until).map(|_| self.busy_until)
             };
             earliest.take(offered_at);
+        } else if !self.places.waiting.without(self.places.in_flight).is_empty() {
+            let time = self.pushes_out_for(self.now);
+            earliest.take((time > Duration::ZERO).then(|| self.now + time));
         }
         earliest.take(self.broadcast.deadline(&self.config));
         let mut stops = self.at(self.places.stops);
