@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::protocol::MotorId;
 use myactuator_host_std::protocol::command::{AbsolutePosition, ReadMultiTurnAngle, Reset};
-use myactuator_host_std::protocol::io::bring_up::MoveLimits;
+use myactuator_host_std::protocol::io::bring_up::{BringUpError, MoveLimits};
 use myactuator_host_std::protocol::master::{Event, StopKind};
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed};
 use myactuator_host_std::share::{Guard, SharedBus, SharedBusError};
@@ -34,6 +34,11 @@ fn reach(bus: &SharedBus, motor: MotorId, degrees: f32) -> Outcome<()> {
 /// Restarts a motor. Its turns may be gone with that, so that nothing moves it until somebody has seen where it
 /// believes to be, and says so.
 fn restart(bus: &SharedBus, motor: MotorId) -> Outcome<()> {
+    // What it holds its brake is to hold meanwhile, if it has one.
+    match bus.lock_brake(motor) {
+        Ok(()) | Err(BringUpError::BrakeNotLocked { .. }) => {}
+        Err(error) => return Err(error.into()),
+    }
     bus.ask(motor, Reset)?;
     let patience_ends = Instant::now() + Duration::from_secs(5);
     let reading = loop {

@@ -2,12 +2,12 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::Load;
+use myactuator_host_std::sim::{BusFleet, Fleet};
 use myactuator_protocol_core::command::{
     BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1, Stop,
+    ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, Stop,
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
@@ -44,6 +44,9 @@ on_both_buses! {
     a_brake_opens_though_its_drive_had_lost_its_master
     no_brake_is_opened_behind_which_nothing_would_hold
     a_load_stays_where_it_is
+    what_a_brake_does_not_hold_its_motor_holds_again
+    what_falls_is_caught_by_its_brake_alone
+    what_a_motor_holds_its_brake_holds_while_it_is_switched_off
     no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
     a_protected_motor_stops_when_nobody_speaks
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
@@ -353,6 +356,62 @@ fn a_load_stays_where_it_is<W: Wire>() {
     assert!(runner.stop(id(1), StopKind::Off));
     listen(runner, millis(500));
     assert!(!has_moved() && !state(drive).output_on);
+}
+
+/// A motor with a slow brake, and a load that pulls at it.
+fn lifting<W: Wire>() -> BusFleet<W> {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    let load = Load { torque_nm: 5.0, ..Load::NONE };
+    W::drives(&Fleet::new(1).brakes(true).quirks(quirks).load(load)).unwrap()
+}
+
+fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
+    let bus = lifting::<W>();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+    let told = bring_up::lock_brake(runner, id(1));
+    assert!(matches!(told, Err(BringUpError::BrakeSlips { .. })), "{told:?}");
+    listen(runner, millis(500));
+    let held_deg = state(drive).angle_deg;
+    listen(runner, millis(500));
+    assert!((state(drive).angle_deg - held_deg).abs() < 0.1 && state(drive).output_on);
+    // What a stop has switched off nobody switches on.
+    assert!(runner.stop(id(1), StopKind::Off));
+    let _ = bring_up::lock_brake(runner, id(1));
+    assert!(!state(drive).output_on);
+}
+
+fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {
+    for fails in [false, true] {
+        let bus = lifting::<W>();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        if fails {
+            drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        }
+        runner.ask(id(1), ReleaseBrake).expect("it is there");
+        listen(runner, millis(400));
+        assert!(state(drive).measurement.speed_dps.abs() > 10.0, "it falls");
+        assert_eq!(bring_up::lock_brake(runner, id(1)), Ok(()), "{fails}");
+        let held_deg = state(drive).angle_deg;
+        listen(runner, millis(500));
+        assert!((state(drive).angle_deg - held_deg).abs() < 0.1, "{fails}");
+    }
+}
+
+fn what_a_motor_holds_its_brake_holds_while_it_is_switched_off<W: Wire>() {
+    for new_id in [None, Some(id(9))] {
+        let bus = lifting::<W>();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+        let held_deg = drive.with(|drive| drive.plant().output_angle_deg());
+        match new_id {
+            None => drop(bring_up::zero_here(runner, id(1)).unwrap()),
+            Some(new_id) => bring_up::change_id(runner, id(1), new_id).unwrap(),
+        }
+        let sunk_deg = drive.with(|drive| drive.plant().output_angle_deg()) - held_deg;
+        assert!(sunk_deg.abs() < 1.0, "{new_id:?}: {sunk_deg}");
+    }
 }
 
 fn no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told<W: Wire>() {

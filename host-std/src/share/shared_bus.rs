@@ -330,7 +330,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::LiftStop)
     }
 
-    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor. Does not wait.
+    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor, **whichever thread has called for that**: only
+    /// who knows why it was stopped lifts it. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].

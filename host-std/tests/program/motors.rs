@@ -253,7 +253,10 @@ fn what_goes_on_after_send_is_told() {
 
 #[test]
 fn the_brake_is_released_and_locked() {
-    assert_eq!(done("brake release --id 1"), ["motor 1: brake released"]);
+    assert_eq!(
+        done("brake release --id 1"),
+        ["motor 1: brake released: a load can turn its shaft now"]
+    );
     assert_eq!(done("brake lock --id 1 --bus sim:1,rs485"), ["motor 1: brake locked"]);
 }
 

@@ -7,12 +7,12 @@
 use crate::command::{
     CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,
     ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate, Reset, SetCurrentPositionZero,
-    Shutdown,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
+use crate::io::brake::switch_off;
 pub use crate::io::brake::{lock_brake, release_brake};
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
@@ -205,7 +205,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     let zeroing = Opcode::SetCurrentPositionZero.into();
     runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
     check_stands(runner, motor).await?;
-    runner.ask(motor, Shutdown).await?;
+    switch_off(runner, motor).await?;
     let stored = match runner.ask(motor, SetCurrentPositionZero).await {
         Ok(reply) => reply.offset,
         Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),

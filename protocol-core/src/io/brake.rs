@@ -1,7 +1,7 @@
 //! Opening and locking a holding brake, so that no load falls.
 
 use crate::command::{
-    BrakeCommand, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Status1, Stop,
+    BrakeCommand, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown, Status1, Stop,
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
@@ -9,7 +9,7 @@ use crate::io::async_bring_up::SPOKEN_TO_EVERY;
 use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
-use crate::io::standing::turns;
+use crate::io::standing::{runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
 
@@ -85,8 +85,10 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
+    let holds = runs(bus, motor).await != Some(false)
+        && bus.ask(motor, ReadStatus1).await?.errors.is_empty();
     let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    if turns(speed) {
+    if turns(speed) && holds {
         return Err(BringUpError::Turns { motor, speed });
     }
     bus.ask(motor, LockBrake).await?;
@@ -95,7 +97,28 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
         return Err(BringUpError::BrakeNotLocked { motor, says });
     }
     let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    if turns(speed) { Err(BringUpError::BrakeSlips { motor, speed }) } else { Ok(()) }
+    if !turns(speed) {
+        return Ok(());
+    }
+    if holds {
+        // No drive holds behind a locked brake. What comes of that changes nothing.
+        let _ = open_and_hold(bus, motor).await;
+    }
+    Err(BringUpError::BrakeSlips { motor, speed })
+}
+
+/// Switches a motor off that stands. What it holds, its brake holds then, if it has one.
+pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    if runs(bus, motor).await == Some(true) {
+        match lock_brake(bus, motor).await {
+            Ok(()) | Err(BringUpError::BrakeNotLocked { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(bus.ask(motor, Shutdown).await.map(drop)?)
 }
 
 /// Gives a brake the time to open or to lock, unless it is over before; how the drive is then.

@@ -120,9 +120,9 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The shaft turns behind a brake that was told to lock and has had the time to. [Open](release_brake) it, so that the
-    /// motor holds, or cut in otherwise. Where the motor is stopped, [lift that](crate::master::Master::lift_stop_of)
-    /// before: else it is refused.
+    /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before was told to
+    /// hold again, with its brake open: do not switch it off. But for one that is stopped, which refuses that:
+    /// [lift the stop](crate::master::Master::lift_stop_of) and [open the brake](release_brake), or cut in otherwise.
     #[error(
         "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
     )]
@@ -230,13 +230,13 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 }
 
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
-/// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
-/// shaft must be held by other means if a load pulls at it, and a motor that turns is refused. Gives the
-/// new offset. Where several motors have this id all of them do this: see first whether it
+/// drive (0x76), and reads offset and angle back. The motor's output is switched off first. What it holds, its
+/// brake is told to hold before (0x78); where it has none, the shaft must be held by other means if a load pulls at it. A
+/// motor that turns is refused. Gives the new offset. Where several motors have this id all of them do this: see first whether it
 /// [is shared](is_shared).
 ///
 /// # Errors
-/// [`BringUpError::Turns`]; [`BringUpError::Call`] if it was not told; [`BringUpError::ZeroNotKept`],
+/// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told; [`BringUpError::ZeroNotKept`],
 /// [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was.
 pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
@@ -247,14 +247,15 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 
 /// Gives a motor another id: switches it off, writes the id to its ROM and restarts it. Function 5 (0x20)
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
-/// connected motors obey. Hold the shaft if a load pulls at it; a motor that turns is refused.
+/// connected motors obey. What the motor holds, its brake is told to hold before (0x78); hold the shaft if a load pulls
+/// at one without. A motor that turns is refused.
 ///
 /// It asks all ids first, and both of these afterwards, so the master needs a place for each of them besides those of
 /// the other motors that it knows: `CanMaster<_, _, 8>` for six motors, say. Without them nothing is written.
 ///
 /// # Errors
-/// [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`];
-/// [`BringUpError::Call`] if it was not told; [`BringUpError::IdNotTaken`], [`BringUpError::NotRestarted`] and
+/// [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`],
+/// [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told; [`BringUpError::IdNotTaken`], [`BringUpError::NotRestarted`] and
 /// [`BringUpError::MayBeWritten`] if it was.
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
@@ -314,8 +315,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// }
 /// ```
 ///
-/// It looks at the shaft once, behind the brake. Whether that holds by itself shows when the motor is off: look at it
-/// again then. A motor that is off and sinks is refused as one that turns.
+/// It looks at the shaft once, behind the brake: where that slips, what has held the load is told to hold it again (0x77,
+/// 0x81). Whether it holds by itself shows when the motor is off: look at it again then. A motor that turns is refused
+/// while it runs and can be stopped; where it runs nothing, or reports an error, only the brake can catch what falls.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
@@ -328,7 +330,8 @@ pub fn lock_brake<R: Runner<N>, const N: usize>(
 
 /// Sets after how long without a command a motor stops by itself (0xB3); 0 switches that off. It is kept in ROM.
 ///
-/// From then on the motor has to be spoken to without longer pauses, and after one it may answer and not obey
+/// From then on the motor has to be spoken to without longer pauses, also while a stop holds it; whoever speaks is
+/// enough, a thread that reads temperatures while the loop hangs, too. After a longer pause it may answer and not obey
 /// until it is spoken to steadily again (2.31.1). A load falls until its brake holds: [lock](lock_brake) that before you
 /// fall silent on purpose. Its brake has locked by then, which torque and motion
 /// commands do not open: [release](release_brake) it again. What waits here speaks to its own motor alone,

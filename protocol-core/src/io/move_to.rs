@@ -5,7 +5,7 @@ use core::ops::ControlFlow;
 
 use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
-    ReadMultiTurnAngle, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
+    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -13,7 +13,7 @@ use crate::io::asking::CallError;
 use crate::io::async_bring_up::has_started_since;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
-use crate::io::standing::turns;
+use crate::io::standing::{runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::opcode::Repeat;
 use crate::time::{Duration, Instant};
@@ -363,7 +363,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         if !has_arrived && on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
         }
-        if is_over && runs_nothing(bus, motor).await {
+        if is_over && runs(bus, motor).await == Some(false) {
             let has_started = has_started_since(bus, motor, begun, ran).await;
             if has_started.map_err(unseen_since(angle))? {
                 bus.note_restart(motor);
@@ -413,11 +413,6 @@ fn end_of_stall<E>(
         }
         WhenStalled::Press | WhenStalled::Stop => Err(MoveFailure::Stalled { at, target }),
     }
-}
-
-/// Whether the drive says so; one that does not answer that may run.
-async fn runs_nothing<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> bool {
-    bus.ask(motor, ReadRunningMode).await.is_ok_and(|reply| reply.mode.raw() == 0)
 }
 
 /// A look at the motor.

@@ -1,9 +1,10 @@
-//! Whether a motor turns.
+//! Whether a motor turns, or runs something.
 
-use crate::command::ReadStatus2;
+use crate::command::{ReadRunningMode, ReadStatus2};
 use crate::id::MotorId;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
+use crate::io::calls::Calls;
 use crate::units::CoarseSpeed;
 
 /// Up to this speed a shaft stands, degrees per second.
@@ -16,6 +17,11 @@ pub(super) async fn check_stands<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     let speed = runner.ask(motor, ReadStatus2).await?.speed;
     if turns(speed) { Err(BringUpError::Turns { motor, speed }) } else { Ok(()) }
+}
+
+/// Whether the motor runs something, so that it can stop or hold its shaft; not every drive answers that.
+pub(super) async fn runs<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
+    bus.ask(motor, ReadRunningMode).await.map(|reply| reply.mode.raw() != 0).ok()
 }
 
 /// Whether a motor that reports this speed turns: up to 2 dps it stands, since feedback may flicker by a step.

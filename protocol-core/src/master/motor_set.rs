@@ -15,6 +15,7 @@ use crate::id::MotorId;
 /// assert_eq!(format!("{arm:?}"), "MotorSet(1 2 3)");
 /// ```
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[must_use = "these may be motors that have not confirmed a stop: cut their power"]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct MotorSet(u32);
 
@@ -40,13 +41,11 @@ impl MotorSet {
     }
 
     /// The motors of this set that are not in the other.
-    #[must_use]
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
     /// The motors of this set and of the other.
-    #[must_use]
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }

@@ -330,7 +330,8 @@ impl<const N: usize> Master<N> {
         self.switched_off = MotorSet::EMPTY;
     }
 
-    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor. A stop of all stays in force for it, too.
+    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor, **whoever has called for that**: where several
+    /// stop one motor, only who knows why it was stopped lifts it. A stop of all stays in force for it, too.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
         self.stopped.remove(motor);
         if self.stops_all.is_none() {

@@ -18,8 +18,9 @@ const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
 /// Release or lock a motor's brake
 ///
-/// A turning motor's brake is not locked: stop the motor first. If one that held does not stand behind its brake, that is
-/// opened again and the motor holds (0x77, 0x81). Exit status: 0 if the motor has
+/// The brake of a turning motor that can be stopped is not locked: stop it first. If one that held does not stand behind
+/// its brake, that is opened again and the motor holds (0x77, 0x81). A release lets the shaft go, and a load with it;
+/// 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
 /// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -48,14 +49,13 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."
             ))?;
             if session.let_go(motor)? {
-                say(&format!("motor {motor}: brake released"))
+                say(&format!("motor {motor}: brake released: a load can turn its shaft now"))
             } else {
                 say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
             }
         }
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
-            session.standing(motor)?;
             let held = session.ask(motor, ReadRunningMode)?.mode.raw() != 0
                 && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
             let locked = session.lock_brake(motor).and_then(|says_so| match says_so {

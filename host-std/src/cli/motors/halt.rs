@@ -439,7 +439,7 @@ mod tests {
             fleet.world.run_for(Duration::from_millis(500));
             assert!(Session::on(&fleet).standing(MotorId::MIN).is_err());
             let mut session = Session::on(&fleet);
-            halt(&mut session, meant, StopKind::Hold).unwrap();
+            let _stopped = halt(&mut session, meant, StopKind::Hold).unwrap();
             fleet.world.run_for(Duration::from_millis(500));
             session.standing(MotorId::MIN).unwrap();
         }
@@ -505,7 +505,7 @@ mod tests {
             for _ in 0..3 {
                 session.ask(MotorId::MIN, ReadStatus2).unwrap();
             }
-            stop_every_id(&mut session, StopKind::Hold).unwrap();
+            let _stopped = stop_every_id(&mut session, StopKind::Hold).unwrap();
             !drive.with(|drive| drive.state().output_on)
         };
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();

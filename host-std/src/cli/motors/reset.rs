@@ -1,8 +1,8 @@
 //! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::ReadMultiTurnAngle;
-use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunningMode};
+use myactuator_protocol_core::io::{Runner, bring_up};
 use myactuator_protocol_core::units::Angle;
 
 use super::session::{OneMotor, Session, say};
@@ -10,7 +10,7 @@ use crate::cli::Outcome;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
-/// The shaft is free meanwhile unless a brake holds it, and whole turns are lost unless multi-turn saving
+/// The shaft is free meanwhile unless a brake holds it, which is locked first if the motor holds (0x78), and whole turns are lost unless multi-turn saving
 /// (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and
 /// has no error, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
@@ -50,13 +50,20 @@ fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
     session.is_not_left_halfway()?;
     session.standing(motor)?;
+    // What it holds, its brake holds meanwhile, if it has one.
+    let mode = session.master.ask(motor, ReadRunningMode);
+    if mode.is_ok_and(|reply| reply.mode.raw() != 0) {
+        session.lock_brake(motor)?;
+    }
     Ok(bring_up::restart(&mut session.master, motor, motor)?)
 }
 
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
+    use myactuator_host_std::sim::plant::Load;
     use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate};
+    use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::time::Duration;
 
@@ -78,6 +85,20 @@ mod tests {
         fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
         assert_eq!(restart(&mut session, MotorId::MIN), Ok(()));
         assert!(session.ready(MotorId::MIN).is_ok());
+    }
+
+    #[test]
+    fn what_a_motor_holds_its_brake_holds_while_it_restarts() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).brakes(true).quirks(quirks).load(load).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.release_brake(MotorId::MIN).unwrap();
+        let angle_deg = || fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
+        let held_deg = angle_deg();
+        assert_eq!(restart(&mut session, MotorId::MIN), Ok(()));
+        let sunk_deg = (angle_deg() - held_deg).abs();
+        assert!(sunk_deg < 1.0, "{sunk_deg}");
     }
 
     #[test]

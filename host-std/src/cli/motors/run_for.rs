@@ -85,7 +85,9 @@ pub(super) fn run<C: Command + Copy>(
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
             StopKind::Off if opens => put_down(session, motor),
-            kind => session.stopped_by(kind, motor.into()),
+            StopKind::Off => slow_down(session, motor)
+                .and_then(|()| session.stopped_by(StopKind::Off, motor.into())),
+            StopKind::Hold => session.stopped_by(StopKind::Hold, motor.into()),
         };
         // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
         session.check_interrupted()?;
@@ -99,11 +101,16 @@ pub(super) fn run<C: Command + Copy>(
     say(&format!("motor {motor} has run for {seconds} s; {ended}"))
 }
 
+/// Stops a motor and waits until it stands: switched off before, it would run on.
+fn slow_down(session: &mut Session, motor: MotorId) -> Outcome {
+    session.stop(StopKind::Hold, motor.into())?;
+    session.come_to_rest(motor)
+}
+
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
 fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
-    session.stop(StopKind::Hold, motor.into())?;
-    // Not on a shaft that turns still.
-    session.come_to_rest(motor)?;
+    // No brake is locked on a shaft that turns still.
+    slow_down(session, motor)?;
     let mut holds = match session.lock_brake(motor) {
         // It has none, so that only the motor holds what it holds.
         Ok(false) => return session.stopped_by(StopKind::Hold, motor.into()),
@@ -281,7 +288,8 @@ mod tests {
         assert!(session.standing(MotorId::MIN).is_err());
         let log = fleet.world.log();
         put_down(&mut session, MotorId::MIN).unwrap();
-        let sent: Vec<u8> = commands(&log).into_iter().filter(|byte| *byte < 0x90).collect();
+        let ends = |byte: &u8| matches!(byte, 0x76..=0x81);
+        let sent: Vec<u8> = commands(&log).into_iter().filter(ends).collect();
         assert_eq!(sent, [0x81, 0x78, 0x80]);
         session.standing(MotorId::MIN).unwrap();
     }
@@ -381,6 +389,10 @@ mod tests {
             run_to_end(&mut session, TURN, (0.3, true, StopKind::Off), || {}).unwrap();
             let mut ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
             assert_eq!(ends.next_back(), Some(last));
+            if !holds {
+                assert_eq!(ends.next_back(), Some(0x81), "switched off alone it would run on");
+            }
+            session.standing(MotorId::MIN).unwrap();
         }
     }
 
