@@ -24,8 +24,10 @@ pub(crate) struct RunTime {
     since: Option<i64>,
     /// It has shown a restart then, and none was told yet.
     shown: Option<Instant>,
-    /// When it begins anew, in the world's time, unless the master knows how long it has run.
+    /// When it begins anew, in the world's time, unless the master was told how long it had run since.
     begins_anew: Option<Instant>,
+    /// The master knows how long it has run: it was told, and nothing since that it may have restarted.
+    is_known: bool,
     /// It was read first when it had begun anew: then, by the master's clock.
     read_anew: Option<Instant>,
 }
@@ -49,6 +51,7 @@ impl RunTime {
     /// It is told that it has restarted; it may be about to until then.
     fn restarted(&mut self, until: Instant) {
         (self.since, self.shown) = (Some(until.as_micros() as i64), None);
+        self.is_known = false;
     }
 
     /// It is told that it has run for so long, in answer to what was sent then.
@@ -60,13 +63,14 @@ impl RunTime {
             self.shown.get_or_insert(now);
         }
         self.since = Some(now.as_micros() as i64 - ran);
-        let has_begun_anew = self.begins_anew.take().is_some_and(|at| at <= world);
-        self.read_anew = has_begun_anew.then_some(now);
+        let has_begun_anew = self.begins_anew.take_if(|at| *at <= world).is_some();
+        let was_known = std::mem::replace(&mut self.is_known, true);
+        self.read_anew = (has_begun_anew && !was_known).then_some(now);
     }
 
     /// It may say less than it has run, and nobody could know.
     fn may_have_begun_anew(&self, now: Instant, world: Instant) -> bool {
-        self.begins_anew.is_some_and(|at| at <= world)
+        !self.is_known && self.begins_anew.is_some_and(|at| at <= world)
             || self.read_anew.is_some_and(|at| now - at <= IS_TOLD)
     }
 

@@ -149,6 +149,10 @@ fn what_broke_later() {
     as_drawn::<CanBus>(1_140);
     // A port has failed when a task was dropped, and all are told to end their motion before its next round.
     as_drawn::<CanBus>(500_942);
+    // A run time is read shortly before it begins anew, and then a silence is told as a restart: nobody knows it any more.
+    as_drawn::<Rs485Line>(9_002_221);
+    as_drawn::<Rs485Line>(9_000_723);
+    as_drawn::<Rs485Line>(9_002_613);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.
