@@ -129,7 +129,7 @@ impl Truth {
         let sending = page.sendings.entry(name).or_default();
         sending.put = sending.put.max(put);
         sending.taken += 1;
-        sending.last_taken = now;
+        (sending.last_taken, sending.heard_since) = (now, 0);
         if name.is_ending() {
             page.ended = page.ended.max(put);
             if name.is_stop() || packet.channel != Channel::Command(Target::All) {
@@ -198,11 +198,14 @@ impl Truth {
         let ended = page.ended_alone;
         let sending = page.sendings.entry(name).or_default();
         sending.heard += 1;
+        sending.heard_since += 1;
         sending.ignored += u32::from(ignores);
         let sending = *sending;
         let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
         // On a line two of one id take each other's acknowledgements for commands, and may go on so for ever.
-        if sending.heard > sending.taken && (has_twin || !name.is_stop()) {
+        // What earlier ones have missed, while they restarted, says nothing of this one.
+        let is_by_both = has_twin && sending.heard_since > 1;
+        if is_by_both || sending.heard > sending.taken && (has_twin || !name.is_stop()) {
             page.excuses.note(question_of(packet), doubled, now, window);
         }
         if ignores && page.lost_master_untold {

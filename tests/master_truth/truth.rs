@@ -37,6 +37,8 @@ pub(crate) struct Sending {
     /// How often it reached a drive, and how often that ignored it.
     pub(crate) heard: u32,
     pub(crate) ignored: u32,
+    /// How often it did since the bus took it last: stops are all of one name.
+    pub(super) heard_since: u32,
     /// How often a reply to it reached the master.
     pub(crate) delivered: u32,
     /// What was sent last was answered, and in time whatever the master takes for the longest.
