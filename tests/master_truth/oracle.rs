@@ -337,8 +337,12 @@ impl Oracle {
         let most = u64::from(u16::MAX);
         // What seemed ignored is neither.
         let exactly = exactly && !truth.excused.contains_key(&Excuse::EchoesTaken);
+        // Late feedback was told last, and the newest set-point is on its way.
+        let is_one_under_way =
+            !page.answered_newest && truth.now - page.asked_at < truth.reply_timeout;
+        let over = asking.saturating_sub(is_one_under_way.into());
         let is_wrong = answered + lost > asking
-            || exactly && answered + lost != asking
+            || exactly && answered + lost < over
             || lost + u64::from(ignored) < told.no_reply.max(told.unanswered)
             || u64::from(health.stray) < told.strays.min(most)
             || told.lost_master < page.lost_master_delivered;

@@ -155,6 +155,8 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(9_002_613);
     // Two motors of one id answer a stop, where earlier ones reached neither: the second answer is taken for one to all.
     as_drawn::<CanBus>(9_002_429);
+    // The feedback that a run ends with is late, and the set-point behind it is still under way: it is not counted yet.
+    as_drawn::<CanBus>(9_001_529);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

@@ -150,6 +150,8 @@ pub(crate) struct Truth {
     pub(crate) clock_ahead: Duration,
     pub(crate) clock_step: Duration,
     pub(crate) late_window: Duration,
+    /// Each reply counts as lost that does not come within this.
+    pub(super) reply_timeout: Duration,
     /// No reply counts as lost that comes within this.
     pub(super) longest_response: Duration,
     pub(crate) set_point_max_age: Duration,
@@ -210,6 +212,7 @@ impl Book {
             clock_ahead: Duration::ZERO,
             clock_step: Duration::from_micros(1),
             late_window: config.late_window,
+            reply_timeout: config.reply_timeout,
             longest_response: config.longest_response.min(config.reply_timeout),
             set_point_max_age: config.set_point_max_age,
             restart_takes: config.restart_time,
