@@ -191,8 +191,10 @@ impl Truth {
         let doubled = self.doubled(motor);
         let (has_twin, flips) = (self.twin == Some(motor), self.flips);
         let reorders = self.reorders;
-        let tells = self.stop_to_all_is_answered && name.is_stop();
-        let is_alone = name.is_stop() || packet.channel != Channel::Command(Target::All);
+        let is_can = self.stop_to_all_is_answered;
+        let tells = is_can && name.is_stop();
+        let is_own = packet.channel != Channel::Command(Target::All);
+        let is_alone = name.is_stop() || is_own;
         let page = self.page(motor);
         // An answer to what was told all at once says nothing of what was sent before.
         let ended = page.ended_alone;
@@ -231,10 +233,17 @@ impl Truth {
         if !name.moves() || ignores || flips {
             return;
         }
+        let was_ended = sending.put < ended && page.ended_heard >= ended;
+        let is_behind = was_ended && !page.is_stopping && !reorders;
+        // By priority a move of all comes out of its mailbox behind what one was told: that goes once more, and is told as
+        // answered behind the move.
+        let goes_again = is_can && !is_own && page.ends == Some(ended);
+        if is_behind && goes_again {
+            page.moved_behind = moment;
+        }
         let wrong = if page.is_confirmed {
             "reaches a motor whose stop is confirmed"
-        } else if sending.put < ended && page.ended_heard >= ended && !page.is_stopping && !reorders
-        {
+        } else if is_behind && !goes_again {
             "reaches the motor after a newer command that ends motion"
         } else if is_again {
             "acts again, and is heard again"

@@ -10,7 +10,7 @@ use super::excuses::Excuse;
 use super::names::{Name, has_values, question_of};
 use super::restarts::{check_restarted, note_answered};
 use super::sayings::{
-    check_answer, check_confirmed, check_feedback, check_report, check_was_heard,
+    check_answer, check_confirmed, check_ended, check_feedback, check_report, check_was_heard,
 };
 use super::to_all::STOP;
 use super::truth::{DONE, Sending, Truth};
@@ -131,6 +131,9 @@ impl Oracle {
                     truth.breaks(format!("{event:?} of a {:?}", open.kind));
                 }
                 check_answer(ticket.motor(), &open.data, &data, truth);
+                if ends_motion(&open.data) {
+                    check_ended(ticket.motor(), &open.data, truth);
+                }
                 let of = sending(ticket.motor(), &open.data, truth);
                 note_answered(ticket.motor(), &data, &of, truth);
             }
@@ -237,8 +240,10 @@ impl Oracle {
     fn close(&mut self, ticket: TicketId, event: &Event, truth: &mut Truth) -> Option<Open> {
         let open = self.open[ticket.motor().index()].take();
         let open = open.filter(|open| open.ticket == ticket);
-        if open.is_none() {
-            truth.breaks(format!("no request waits for {event:?}"));
+        match open {
+            Some(open) if ends_motion(&open.data) => truth.page(ticket.motor()).ends = None,
+            Some(_) => {}
+            None => truth.breaks(format!("no request waits for {event:?}")),
         }
         open
     }
@@ -365,8 +370,16 @@ fn is_repeated(byte: u8) -> bool {
     )
 }
 
+fn name_of(data: &Data) -> Name {
+    Name::of(&Packet { channel: Channel::Command(MotorId::MIN.into()), data: *data })
+}
+
 pub(super) fn is_move(data: &Data) -> bool {
-    Name::of(&Packet { channel: Channel::Command(MotorId::MIN.into()), data: *data }).moves()
+    name_of(data).moves()
+}
+
+fn ends_motion(data: &Data) -> bool {
+    name_of(data).is_ending()
 }
 
 pub(super) fn sending(motor: MotorId, data: &Data, truth: &Truth) -> Sending {

@@ -157,6 +157,8 @@ fn what_broke_later() {
     as_drawn::<CanBus>(9_002_429);
     // The feedback that a run ends with is late, and the set-point behind it is still under way: it is not counted yet.
     as_drawn::<CanBus>(9_001_529);
+    // A move of all lies in a mailbox, and one motor is told to end its motion: that goes again behind the move.
+    as_drawn::<CanBus>(9_002_488);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

@@ -44,6 +44,15 @@ pub(super) fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
     }
 }
 
+/// Of a request that ends motion: the drive must have heard it behind whatever move of all came out of a mailbox.
+pub(super) fn check_ended(motor: MotorId, asked: &Data, truth: &mut Truth) {
+    let page = &truth.pages[motor.index()];
+    if page.moved_behind > page.stop_heard && !truth.flips {
+        let packet = Packet { channel: Channel::Reply(motor), data: *asked };
+        excused_or(motor, &packet, truth, || format!("motor {motor} moves behind {asked:02X?}"));
+    }
+}
+
 /// Whether something holds that excuses what is wrong with an answer to this; else it is broken.
 fn excused_or(
     motor: MotorId,

@@ -109,6 +109,10 @@ pub(crate) struct Page {
     /// As that, of those that went to it alone or as a stop; and of those that a drive heard.
     pub(super) ended_alone: u64,
     pub(super) ended_heard: u64,
+    /// When a caller's request was put that ends motion, of which no outcome is told yet.
+    pub(super) ends: Option<u64>,
+    /// A move of all came behind that, out of a mailbox: then.
+    pub(super) moved_behind: u64,
     /// When a caller told all last to end their motion, and when to do so by letting go.
     pub(super) ended_with_all: u64,
     pub(super) let_go: u64,
@@ -318,6 +322,7 @@ impl Truth {
                 page.set_points.may_be_dropped();
             }
         } else if name.is_ending() {
+            page.ends = Some(put);
             page.set_points.may_be_dropped();
         }
     }
