@@ -146,7 +146,7 @@ impl Truth {
     /// The controller has handed a command back.
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
-        let (is_stop, now) = (self.is_stop(packet), self.now);
+        let (is_stop, now, longest) = (self.is_stop(packet), self.now, self.longest_response);
         if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
             self.what_all_were_told_is_back(name);
         }
@@ -160,6 +160,8 @@ impl Truth {
             page.unanswered = page.unanswered.saturating_sub(u32::from(is_own));
             if let Some(sending) = page.sendings.get_mut(&name) {
                 sending.taken -= 1;
+                let may_be_lost = is_own && now - sending.last_taken >= longest;
+                page.lost_and_back += u64::from(may_be_lost && is_asking(packet));
             }
             if is_stop {
                 // One to all is nobody's own.

@@ -348,7 +348,7 @@ impl Oracle {
         let over = asking.saturating_sub(is_one_under_way.into());
         let is_wrong = answered + lost > asking
             || exactly && answered + lost < over
-            || lost + u64::from(ignored) < told.no_reply.max(told.unanswered)
+            || lost + page.lost_and_back + u64::from(ignored) < told.no_reply.max(told.unanswered)
             || u64::from(health.stray) < told.strays.min(most)
             || told.lost_master < page.lost_master_delivered;
         if is_wrong {

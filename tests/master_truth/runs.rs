@@ -159,6 +159,8 @@ fn what_broke_later() {
     as_drawn::<CanBus>(9_001_529);
     // A move of all lies in a mailbox, and one motor is told to end its motion: that goes again behind the move.
     as_drawn::<CanBus>(9_002_488);
+    // Nobody has looked for an hour, and a set-point whose time is up by that is handed back before that is told.
+    as_drawn::<CanBus>(9_100_934);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

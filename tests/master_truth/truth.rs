@@ -58,6 +58,8 @@ pub(crate) struct Page {
     pub(crate) sendings: HashMap<Name, Sending>,
     /// Commands with a reply that the bus took.
     pub(crate) asking: u64,
+    /// So many of these were handed back when their time may have been up: that counts as no loss, and may be told.
+    pub(crate) lost_and_back: u64,
     /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
