@@ -79,7 +79,7 @@ impl Truth {
             let page = self.page(motor);
             let called = page.stop_called;
             page.stops_taken += 1;
-            page.is_told = true;
+            (page.is_told, page.may_be_untold) = (true, false);
             page.tellings += 1;
             self.note_taken(motor, packet, called);
             return;
@@ -167,9 +167,12 @@ impl Truth {
                 // One to all is nobody's own.
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
                 page.tellings = page.tellings.saturating_sub(u32::from(is_own));
-                if is_own && name != page.stop && page.tellings == 0 {
-                    // One before this, which alone had told it.
-                    (page.is_told, page.was_told) = (false, false);
+                if is_own && name != page.stop {
+                    // One before this. If that alone had told it, it was not told.
+                    page.may_be_untold = true;
+                    if page.tellings == 0 {
+                        (page.is_told, page.was_told) = (false, false);
+                    }
                 }
                 page.is_told &= !is_own || page.stops_taken > 0 || page.was_told;
             } else if name.is_set_point() && page.newest_set_point == name.token {

@@ -161,6 +161,8 @@ fn what_broke_later() {
     as_drawn::<CanBus>(9_002_488);
     // Nobody has looked for an hour, and a set-point whose time is up by that is handed back before that is told.
     as_drawn::<CanBus>(9_100_934);
+    // What was to let go whom all hold is handed back when another stop goes in its place: that may be its first.
+    as_drawn::<CanBus>(9_100_933);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

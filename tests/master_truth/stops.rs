@@ -160,7 +160,7 @@ impl Truth {
         }
         let page = self.page(motor);
         let is_second = page.stops_taken > 0 || page.is_told;
-        let is_sure = !page.is_begun_anew && !page.may_be_stopping;
+        let is_sure = !page.is_begun_anew && !page.may_be_stopping && !page.may_be_untold;
         if is_second && is_sure && self.is_first_stop_due() {
             let first: MotorSet = MotorId::all()
                 .filter(|motor| self.pages[motor.index()].waits_for_first_stop())

@@ -93,6 +93,8 @@ pub(crate) struct Page {
     pub(super) is_told: bool,
     /// So many has it taken since then.
     pub(super) tellings: u32,
+    /// One of these was handed back, and another stop is to follow: for all that the master knows, that one was it.
+    pub(super) may_be_untold: bool,
     /// So it was when this stop was called.
     pub(super) was_told: bool,
     /// It may have been begun anew, so that nobody knows which of its sendings is the first.
