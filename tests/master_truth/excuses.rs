@@ -37,7 +37,8 @@ pub(crate) enum Excuse {
 /// The excuses that hold for one motor, and until when.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Excuses {
-    questions: HashMap<Question, (Excuse, Instant)>,
+    /// For each question, the newest last.
+    questions: HashMap<Question, Vec<(Excuse, Instant)>>,
     /// Something of it was doubled, nobody knows what.
     doubling: Option<(Excuse, Instant)>,
 }
@@ -46,7 +47,9 @@ impl Excuses {
     /// This has happened to a frame of this question: for a late window, the answer to the next one may
     /// be another's.
     pub(crate) fn note(&mut self, of: Question, excuse: Excuse, now: Instant, window: Duration) {
-        self.questions.insert(of, (excuse, now + window));
+        let excuses = self.questions.entry(of).or_default();
+        excuses.retain(|(other, until)| *other != excuse && now <= *until);
+        excuses.push((excuse, now + window));
     }
 
     /// Something was doubled.
@@ -63,7 +66,17 @@ impl Excuses {
     }
 
     pub(crate) fn of(&self, question: Question, now: Instant) -> Option<Excuse> {
-        self.questions.get(&question).filter(|(_, until)| now <= *until).map(|(excuse, _)| *excuse)
+        self.holding(question, now).last()
+    }
+
+    /// Whether this one holds, whatever was noted since.
+    pub(crate) fn holds(&self, excuse: Excuse, of: Question, now: Instant) -> bool {
+        self.holding(of, now).any(|holding| holding == excuse)
+    }
+
+    fn holding(&self, of: Question, now: Instant) -> impl Iterator<Item = Excuse> {
+        let excuses = self.questions.get(&of).into_iter().flatten();
+        excuses.filter(move |(_, until)| now <= *until).map(|(excuse, _)| *excuse)
     }
 
     /// The excuse for what was doubled, where tokens cannot tell: an acknowledgement of a stop is like any

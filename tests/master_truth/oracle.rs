@@ -390,8 +390,8 @@ pub(super) fn sending(motor: MotorId, data: &Data, truth: &Truth) -> Sending {
 /// Whether an echo of this may have passed for what its drive hands back. Then it is excused.
 fn is_echo_for_answer(motor: MotorId, data: &Data, truth: &mut Truth) -> bool {
     let question = question_of(&Packet { channel: Channel::Reply(motor), data: *data });
-    let excuse = truth.pages[motor.index()].excuses.of(question, truth.now);
-    let is_echo = excuse == Some(Excuse::EchoesTaken);
+    let excuses = &truth.pages[motor.index()].excuses;
+    let is_echo = excuses.holds(Excuse::EchoesTaken, question, truth.now);
     if is_echo {
         truth.excuse(Excuse::EchoesTaken);
     }
