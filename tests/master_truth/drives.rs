@@ -202,6 +202,7 @@ impl<W> Drive<W> {
     }
 
     fn answer(&mut self, reply: Packet, now: Instant) {
+        self.book.open().page(self.motor).said.insert(reply.data);
         let due = now + Duration::from_micros(700 + self.dice.below(201));
         let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));
         self.replies.push_back((due, reply));

@@ -271,6 +271,7 @@ impl Truth {
         let may_pass_for_echo = self.doubt.is_open() && !has_values(name.byte);
         self.doubt.delivered(motor, packet, self.world);
         let is_misled = self.echoes && self.doubt.is_misled();
+        let is_no_echo = packet.data[3] == DONE || name.byte == 0xB1 && copies == 1;
         let page = self.page(motor);
         // Not in motion mode, whose first byte is an id.
         let is_lost_master = name.byte == 0xF1;
@@ -304,7 +305,11 @@ impl Truth {
             page.excuses.note(question, Excuse::AnotherMaster, now, window);
         } else if name.token & 0xFF00_0000 == REPORTS {
             page.excuses.note(question, Excuse::ReportedByItself, now, window);
-        } else if !page.sendings.contains_key(&name) && !is_lost_master {
+        } else if (!page.sendings.contains_key(&name)
+            || is_no_echo && !page.said.contains(&packet.data))
+            && !is_lost_master
+        {
+            // A collision may also leave the token as it was.
             page.excuses.note(question, Excuse::MadeUp, now, window);
         } else if let Some(sending) = page.sendings.get_mut(&name)
             && !name.is_stop()

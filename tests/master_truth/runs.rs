@@ -165,6 +165,8 @@ fn what_broke_later() {
     as_drawn::<CanBus>(9_100_933);
     // An echo that noise made pass for what a drive ignores is told behind the answer, which comes twice.
     as_drawn::<Rs485Line>(9_101_198);
+    // A collision makes an answer of another angle, whose token and check are right.
+    as_drawn::<Rs485Line>(9_101_525);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

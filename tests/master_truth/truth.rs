@@ -138,6 +138,8 @@ pub(crate) struct Page {
     /// As far as the master has heard, it ignores the next command.
     pub(crate) ignores_next: bool,
     pub(crate) reports: HashSet<u32>,
+    /// What it has answered.
+    pub(crate) said: HashSet<Data>,
     /// When the master last heard of it.
     pub(crate) delivered_at: Option<Instant>,
     /// The longest that the master had not heard of it, since it was told to have restarted.
