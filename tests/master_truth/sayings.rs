@@ -44,7 +44,7 @@ pub(super) fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
     }
 }
 
-/// Of a request that ends motion: the drive must have heard it behind whatever move of all came out of a mailbox.
+/// Of a request that ends motion: the drive must have heard it behind whatever move came out of a mailbox.
 pub(super) fn check_ended(motor: MotorId, asked: &Data, truth: &mut Truth) {
     let page = &truth.pages[motor.index()];
     if page.moved_behind > page.stop_heard && !truth.flips {

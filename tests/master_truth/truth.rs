@@ -115,7 +115,7 @@ pub(crate) struct Page {
     pub(super) ended_heard: u64,
     /// When a caller's request was put that ends motion, of which no outcome is told yet.
     pub(super) ends: Option<u64>,
-    /// A move of all came behind that, out of a mailbox: then.
+    /// A move came behind that, out of a mailbox: then.
     pub(super) moved_behind: u64,
     /// When a caller told all last to end their motion, and when to do so by letting go.
     pub(super) ended_with_all: u64,
