@@ -162,6 +162,9 @@ impl Truth {
                 sending.taken -= 1;
                 let may_be_lost = is_own && now - sending.last_taken >= longest;
                 page.lost_and_back += u64::from(may_be_lost && is_asking(packet));
+                let may_be_answered =
+                    page.strangers_answered_at.is_some_and(|at| at >= sending.last_taken);
+                page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
             if is_stop {
                 // One to all is nobody's own.
@@ -303,6 +306,7 @@ impl Truth {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
             }
         } else if name.is_strangers() {
+            page.strangers_answered_at = Some(now);
             page.excuses.note(question, Excuse::AnotherMaster, now, window);
         } else if name.token & 0xFF00_0000 == REPORTS {
             page.excuses.note(question, Excuse::ReportedByItself, now, window);

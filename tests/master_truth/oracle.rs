@@ -346,7 +346,7 @@ impl Oracle {
         let is_one_under_way =
             !page.answered_newest && truth.now - page.asked_at < truth.reply_timeout;
         let over = asking.saturating_sub(is_one_under_way.into());
-        let is_wrong = answered + lost > asking
+        let is_wrong = answered + lost > asking + page.answered_and_back
             || exactly && answered + lost < over
             || lost + page.lost_and_back + u64::from(ignored) < told.no_reply.max(told.unanswered)
             || u64::from(health.stray) < told.strays.min(most)

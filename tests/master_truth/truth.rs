@@ -60,6 +60,10 @@ pub(crate) struct Page {
     pub(crate) asking: u64,
     /// So many of these were handed back when their time may have been up: that counts as no loss, and may be told.
     pub(crate) lost_and_back: u64,
+    /// And so many when what another master had asked was answered meanwhile, and may have passed for their answer.
+    pub(crate) answered_and_back: u64,
+    /// When such an answer last came.
+    pub(super) strangers_answered_at: Option<Instant>,
     /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
