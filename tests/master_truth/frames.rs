@@ -147,6 +147,7 @@ impl Truth {
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
         let (is_stop, now, longest) = (self.is_stop(packet), self.now, self.longest_response);
+        let was_due = self.is_first_stop_due();
         if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
             self.what_all_were_told_is_back(name);
         }
@@ -185,6 +186,10 @@ impl Truth {
             if name.is_set_point() {
                 page.set_points.handed_back(name.token, now);
             }
+        }
+        // It may have lain there for long.
+        if !was_due && self.is_first_stop_due() {
+            self.offers.since = self.world;
         }
     }
 
