@@ -157,6 +157,7 @@ impl Truth {
         };
         for motor in motors {
             let page = self.page(motor);
+            let is_before = is_own && page.stop_before == Some(name) && name != page.stop;
             page.asking -= u64::from(is_asking(packet));
             page.unanswered = page.unanswered.saturating_sub(u32::from(is_own));
             if let Some(sending) = page.sendings.get_mut(&name) {
@@ -167,9 +168,10 @@ impl Truth {
                     page.strangers_answered_at.is_some_and(|at| at >= sending.last_taken);
                 page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
-            if is_stop {
+            if is_stop || is_before {
                 // One to all is nobody's own.
-                page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
+                let is_of_this = is_own && !is_before;
+                page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_of_this));
                 page.tellings = page.tellings.saturating_sub(u32::from(is_own));
                 if is_own && name != page.stop {
                     // One before this. If that alone had told it, it was not told.

@@ -237,6 +237,7 @@ impl Truth {
             page.stop_due_since = called;
         }
         page.other_stops.clear();
+        page.stop_before = page.is_stopping.then_some(page.stop);
         // What may be under way already may go on in its place, with the attempts that it has left.
         page.is_begun_anew = page.may_be_stopping;
         let goes_on = page.may_be_stopping && page.stop.byte == stop.byte;

@@ -91,6 +91,8 @@ pub(crate) struct Page {
     /// What stops it; and what may do so all the same, where that may have been dropped.
     pub(crate) stop: Name,
     pub(super) other_stops: Vec<Name>,
+    /// What stopped it before, if that was under way: a controller may hand that back yet.
+    pub(super) stop_before: Option<Name>,
     /// It has heard the stop to all, an answer to which confirms it.
     pub(super) is_told_with_all: bool,
     /// The bus has taken a stop of it, and nothing since that a stop refuses: each other's first goes before one more.
