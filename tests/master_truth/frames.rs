@@ -163,6 +163,7 @@ impl Truth {
             if let Some(sending) = page.sendings.get_mut(&name) {
                 sending.taken -= 1;
                 let may_be_lost = is_own && now - sending.last_taken >= longest;
+                sending.was_lost_and_back |= may_be_lost;
                 page.lost_and_back += u64::from(may_be_lost && is_asking(packet));
                 let may_be_answered =
                     page.strangers_answered_at.is_some_and(|at| at >= sending.last_taken);

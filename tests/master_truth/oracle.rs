@@ -253,7 +253,8 @@ impl Oracle {
         let is_true = match failure {
             Failure::NoReply => {
                 self.told[motor.index()].no_reply += 1;
-                of.taken > 0 && (!of.was_answered || truth.flips)
+                let was_sent = of.taken > 0 || of.was_lost_and_back;
+                was_sent && (!of.was_answered || truth.flips)
             }
             // One of the two has lost its master, and the other answers.
             Failure::NotExecuted if truth.twin == Some(motor) => {

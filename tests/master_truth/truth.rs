@@ -34,6 +34,8 @@ pub(crate) struct Sending {
     /// How often the bus took it and did not hand it back.
     pub(crate) taken: u32,
     pub(crate) last_taken: Instant,
+    /// It was handed back when its time may have been up, which may not have been told yet.
+    pub(crate) was_lost_and_back: bool,
     /// How often it reached a drive, and how often that ignored it.
     pub(crate) heard: u32,
     pub(crate) ignored: u32,
