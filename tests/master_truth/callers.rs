@@ -276,6 +276,9 @@ impl<W: Rough> Session<W> {
         }
         let world = &self.stage.world;
         match trouble {
+            Trouble::Cut if conditions.cuts_master && self.more.below(2) == 0 => {
+                world.cut(self.stage.port);
+            }
             Trouble::Cut => world.cut(node),
             Trouble::Slow => world.slow_down(node, Duration::from_millis(3)),
             Trouble::Babble => {
@@ -292,6 +295,7 @@ impl<W: Rough> Session<W> {
         if let Some(which) = self.mischief.take() {
             let node = self.stage.stations[which];
             self.stage.world.mend(node);
+            self.stage.world.mend(self.stage.port);
             self.stage.world.slow_down(node, Duration::ZERO);
             self.stage.world.babble(node, None);
         }

@@ -119,6 +119,8 @@ pub(crate) struct Conditions {
     pub(crate) stops_again: bool,
     /// Drives do not hear what is sent to all (function 2), each by chance.
     pub(crate) deaf_to_all: bool,
+    /// What is cut is now and then the master's own wire, so that nobody acknowledges what lies in its mailboxes.
+    pub(crate) cuts_master: bool,
 }
 
 /// One run.
@@ -205,6 +207,7 @@ impl Scenario {
         conditions.stranger_moves = conditions.stranger && one_of(&[0, 1]) == 1;
         conditions.have_run = one_of(&[0, 1]) == 1;
         conditions.stranger_roams = conditions.stranger && one_of(&[0, 1]) == 1;
+        conditions.cuts_master = trouble == Trouble::Cut && one_of(&[0, 1]) == 1;
         Self { trouble, percent, motors, requests, seed, conditions }
     }
 
@@ -214,6 +217,7 @@ impl Scenario {
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
         c.echo_trouble = None;
         (c.stranger_moves, c.stranger_roams, c.have_run) = (false, false, false);
+        c.cuts_master = false;
         if c.echo == Echo::Unknown {
             self.keep_the_line_to_the_master();
         }

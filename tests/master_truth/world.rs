@@ -433,6 +433,8 @@ pub(crate) struct Stage<W: Rough> {
     /// The drives, in the order of their ids.
     pub(crate) drives: Vec<Arc<Mutex<Drive<W>>>>,
     pub(crate) stations: Vec<StationId>,
+    /// That of the master.
+    pub(crate) port: StationId,
     pub(crate) book: Book,
 }
 
@@ -485,7 +487,7 @@ impl<W: Rough> Stage<W> {
                 truth.was_doubled(motor);
             }
         });
-        Self { world, host, drives, stations, book }
+        Self { world, host, drives, stations, port, book }
     }
 
     pub(crate) fn drive<T>(&self, index: usize, work: impl FnOnce(&mut Drive<W>) -> T) -> T {
