@@ -22,6 +22,8 @@ const IS_TOLD: Duration = Duration::from_millis(50);
 pub(crate) struct RunTime {
     /// Since when the master has known it to run, by its clock, in microseconds.
     since: Option<i64>,
+    /// It was told to restart before it was ever heard: it need not have been there.
+    is_unheard: bool,
     /// It has shown a restart then, and none was told yet.
     shown: Option<Instant>,
     /// When it begins anew, in the world's time, unless the master was told how long it had run since.
@@ -45,11 +47,16 @@ impl RunTime {
 
     /// Something of it was told.
     fn is_there(&mut self, now: Instant) {
-        self.since.get_or_insert(now.as_micros() as i64);
+        let now = now.as_micros() as i64;
+        let since = self.since.get_or_insert(now);
+        if std::mem::take(&mut self.is_unheard) {
+            *since = now.max(*since);
+        }
     }
 
-    /// It is told that it has restarted; it may be about to until then.
-    fn restarted(&mut self, until: Instant) {
+    /// It is told that it has restarted; it may be about to until then. Whether anything was heard of it before.
+    fn restarted(&mut self, until: Instant, was_heard: bool) {
+        self.is_unheard = !was_heard;
         (self.since, self.shown) = (Some(until.as_micros() as i64), None);
         self.is_known = false;
     }
@@ -118,7 +125,7 @@ pub(super) fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let misleading = misleading.or(was_misled.map(|(excuse, _)| excuse));
     let may_have_begun_anew = page.run_time.may_have_begun_anew(now, world);
     page.awaits_resume = true;
-    page.run_time.restarted(now + restart_takes);
+    page.run_time.restarted(now + restart_takes, page.delivered_at.is_some());
     page.set_points.restarted();
     page.turning.restarted();
     if truth.twin == Some(motor) && !may_have && !has {

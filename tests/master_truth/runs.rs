@@ -157,6 +157,8 @@ fn what_broke_later() {
     as_drawn::<CanBus>(9_002_429);
     // The feedback that a run ends with is late, and the set-point behind it is still under way: it is not counted yet.
     as_drawn::<CanBus>(9_001_529);
+    // A motor that nobody has heard is told to restart, and first heard after an hour: only then is it known to run.
+    as_drawn::<CanBus>(9_103_926);
     // A move of all lies in a mailbox, and one motor is told to end its motion: that goes again behind the move.
     as_drawn::<CanBus>(9_002_488);
     // Nobody has looked for an hour, and a set-point whose time is up by that is handed back before that is told.
