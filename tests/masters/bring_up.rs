@@ -45,6 +45,7 @@ on_both_buses! {
     no_brake_is_opened_behind_which_nothing_would_hold
     a_load_stays_where_it_is
     what_a_brake_does_not_hold_its_motor_holds_again
+    who_may_not_open_a_brake_that_slips_says_so
     what_falls_is_caught_by_its_brake_alone
     what_a_motor_holds_its_brake_holds_while_it_is_switched_off
     no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
@@ -370,16 +371,33 @@ fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
     drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
-    let told = bring_up::lock_brake(runner, id(1));
-    assert!(matches!(told, Err(BringUpError::BrakeSlips { .. })), "{told:?}");
-    listen(runner, millis(500));
-    let held_deg = state(drive).angle_deg;
-    listen(runner, millis(500));
-    assert!((state(drive).angle_deg - held_deg).abs() < 0.1 && state(drive).output_on);
-    // What a stop has switched off nobody switches on.
-    assert!(runner.stop(id(1), StopKind::Off));
-    let _ = bring_up::lock_brake(runner, id(1));
-    assert!(!state(drive).output_on);
+    let settings = || drive.with(|drive| *drive.stored_settings());
+    let before = settings();
+    for way in [
+        |runner: &mut W::Runner<8>| bring_up::lock_brake(runner, id(1)),
+        |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(drop),
+        |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(9)),
+        |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1)),
+    ] {
+        let told = way(runner);
+        assert!(matches!(told, Err(BringUpError::BrakeSlips { holds: true, .. })), "{told:?}");
+        let held_deg = state(drive).angle_deg;
+        listen(runner, millis(500));
+        assert!((state(drive).angle_deg - held_deg).abs() < 0.1 && state(drive).output_on);
+    }
+    assert_eq!(settings(), before, "nothing was written");
+}
+
+/// A stop in force refuses that the brake is opened again.
+fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
+    let bus = lifting::<W>();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+    assert!(runner.stop(id(1), StopKind::Hold));
+    let told = bring_up::lock_brake(runner, id(1)).expect_err("its load falls");
+    assert!(matches!(told, BringUpError::BrakeSlips { holds: false, .. }), "{told:?}");
+    assert!(!told.to_string().contains("holds"), "{told}");
 }
 
 fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {
@@ -400,17 +418,19 @@ fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {
 }
 
 fn what_a_motor_holds_its_brake_holds_while_it_is_switched_off<W: Wire>() {
-    for new_id in [None, Some(id(9))] {
+    let ways = [
+        |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(drop),
+        |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1)),
+        |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(9)),
+    ];
+    for (number, way) in ways.into_iter().enumerate() {
         let bus = lifting::<W>();
         let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
         assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
         let held_deg = drive.with(|drive| drive.plant().output_angle_deg());
-        match new_id {
-            None => drop(bring_up::zero_here(runner, id(1)).unwrap()),
-            Some(new_id) => bring_up::change_id(runner, id(1), new_id).unwrap(),
-        }
+        way(runner).unwrap();
         let sunk_deg = drive.with(|drive| drive.plant().output_angle_deg()) - held_deg;
-        assert!(sunk_deg.abs() < 1.0, "{new_id:?}: {sunk_deg}");
+        assert!(sunk_deg.abs() < 1.0, "{number}: {sunk_deg}");
     }
 }
 

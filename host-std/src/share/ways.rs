@@ -77,8 +77,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Locks the brake of a motor that stands, and waits until it has had the time to, as
     /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
-    /// that comes meanwhile may open it again: [stop](Self::stop) the motor first. That is to be
-    /// [lifted](Self::lift_stop_of) before the brake is opened again.
+    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses those, but also that the brake is
+    /// opened again where it slips: [lift](Self::lift_stop_of) it before that.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

@@ -7,12 +7,13 @@
 use crate::command::{
     CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,
     ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate, Reset, SetCurrentPositionZero,
+    Shutdown,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
-use crate::io::brake::switch_off;
+use crate::io::brake::lock_if_there;
 pub use crate::io::brake::{lock_brake, release_brake};
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
@@ -205,7 +206,8 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     let zeroing = Opcode::SetCurrentPositionZero.into();
     runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
     check_stands(runner, motor).await?;
-    switch_off(runner, motor).await?;
+    lock_if_there(runner, motor).await?;
+    runner.ask(motor, Shutdown).await?;
     let stored = match runner.ask(motor, SetCurrentPositionZero).await {
         Ok(reply) => reply.offset,
         Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),
@@ -259,6 +261,8 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
+    runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
+    lock_if_there(runner, motor).await?;
     let mut fails = BringUpError::NotRestarted(motor);
     for _ in 0..RESTARTS {
         // One with a new id may answer under that already; one that does not answer may hear all the same.

@@ -1,7 +1,7 @@
 //! Opening and locking a holding brake, so that no load falls.
 
 use crate::command::{
-    BrakeCommand, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown, Status1, Stop,
+    BrakeCommand, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Status1, Stop,
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
@@ -12,6 +12,7 @@ use crate::io::on_drop::OnDrop;
 use crate::io::standing::{runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
+use crate::units::CoarseSpeed;
 
 /// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
@@ -80,15 +81,16 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake).
+/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been told to
+/// lock, and nobody looks whether it holds.
 pub async fn lock_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    let holds = runs(bus, motor).await != Some(false)
-        && bus.ask(motor, ReadStatus1).await?.errors.is_empty();
     let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    if turns(speed) && holds {
+    let held = runs(bus, motor).await != Some(false)
+        && bus.ask(motor, ReadStatus1).await?.errors.is_empty();
+    if turns(speed) && held {
         return Err(BringUpError::Turns { motor, speed });
     }
     bus.ask(motor, LockBrake).await?;
@@ -96,29 +98,42 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     if says != BrakeCommand::LOCK {
         return Err(BringUpError::BrakeNotLocked { motor, says });
     }
-    let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    if !turns(speed) {
-        return Ok(());
-    }
-    if holds {
-        // No drive holds behind a locked brake. What comes of that changes nothing.
-        let _ = open_and_hold(bus, motor).await;
-    }
-    Err(BringUpError::BrakeSlips { motor, speed })
+    let Some(speed) = slips(bus, motor).await? else { return Ok(()) };
+    // No drive holds behind a locked brake.
+    let holds = held && release_brake(bus, motor).await.is_ok();
+    Err(BringUpError::BrakeSlips { motor, speed, holds })
 }
 
-/// Switches a motor off that stands. What it holds, its brake holds then, if it has one.
-pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
+/// How fast the shaft turns behind a brake: one look may find it swing.
+async fn slips<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
+    let mut speed = bus.ask(motor, ReadStatus2).await?.speed;
+    if turns(speed) {
+        let now = bus.now();
+        bus.wait_until(now + SPOKEN_TO_EVERY).await?;
+        speed = bus.ask(motor, ReadStatus2).await?.speed;
+    }
+    Ok(Some(speed).filter(|speed| turns(*speed)))
+}
+
+/// Locks the brake of a motor that is about to be switched off, if it has one, so that nothing falls. One that runs
+/// nothing holds nothing; some answer neither what they run nor this.
+pub(super) async fn lock_if_there<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    if runs(bus, motor).await == Some(true) {
-        match lock_brake(bus, motor).await {
-            Ok(()) | Err(BringUpError::BrakeNotLocked { .. }) => {}
-            Err(error) => return Err(error),
-        }
+    if runs(bus, motor).await == Some(false) {
+        return Ok(());
     }
-    Ok(bus.ask(motor, Shutdown).await.map(drop)?)
+    match lock_brake(bus, motor).await {
+        Err(
+            BringUpError::BrakeNotLocked { .. }
+            | BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. }),
+        ) => Ok(()),
+        outcome => outcome,
+    }
 }
 
 /// Gives a brake the time to open or to lock, unless it is over before; how the drive is then.

@@ -120,17 +120,20 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before was told to
-    /// hold again, with its brake open: do not switch it off. But for one that is stopped, which refuses that:
-    /// [lift the stop](crate::master::Master::lift_stop_of) and [open the brake](release_brake), or cut in otherwise.
+    /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before is told to
+    /// hold again, unless a stop in force refuses that: [lift it](crate::master::Master::lift_stop_of), and
+    /// [open the brake](release_brake), or cut in otherwise. Nothing was written, nor was it switched off.
     #[error(
-        "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
+        "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}{}",
+        if *holds { "; it is open again, and the motor holds: do not switch it off" } else { "" }
     )]
     BrakeSlips {
         /// The motor.
         motor: MotorId,
         /// How fast it turns.
         speed: CoarseSpeed,
+        /// Its brake is open again, and it has confirmed that it holds.
+        holds: bool,
     },
     /// The drive does not return lock as its brake's last command: it may have none. What holds a load is to go on.
     #[error(
@@ -298,8 +301,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     block_on(task::release_brake(&mut Polled(runner), motor))
 }
 
-/// Locks the brake of a motor that stands and holds its shaft, and waits until it has had the time to (0x78, 2.28). The
-/// motor can be switched off behind it, as it is when nobody speaks to it any more and its protection is set (0xB3):
+/// Locks the brake of a motor that stands, and waits until it has had the time to (0x78, 2.28). The motor can be switched off behind it, as it is when nobody speaks to it any more and its protection is set (0xB3):
 /// before that, a load falls until the brake holds.
 ///
 /// ```
@@ -315,9 +317,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// }
 /// ```
 ///
-/// It looks at the shaft once, behind the brake: where that slips, what has held the load is told to hold it again (0x77,
-/// 0x81). Whether it holds by itself shows when the motor is off: look at it again then. A motor that turns is refused
-/// while it runs and can be stopped; where it runs nothing, or reports an error, only the brake can catch what falls.
+/// It looks at the shaft behind the brake: where that slips, what has held the load is told to hold it again, as by
+/// [`release_brake`]. Whether it holds by itself shows when the motor is off: look at it again then. A motor that turns is
+/// refused while it runs and can be stopped; where it runs nothing, or reports an error, its brake is to catch what falls.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
@@ -348,15 +350,15 @@ pub fn protect<R: Runner<N>, const N: usize>(
 }
 
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
-/// because it answers under its old id, has not heard that, and is told again. Nothing is asked before: the
-/// output goes off, so that a turning shaft runs on and a load that is held falls. Stop the motor first, and lift
-/// that stop: it refuses this. Whole turns are lost unless multi-turn saving
+/// because it answers under its old id, has not heard that, and is told again. Its output goes off: what the motor holds,
+/// its brake is told to hold before (0x78), and one that turns while it runs is refused. A stop in force refuses this,
+/// too. Whole turns are lost unless multi-turn saving
 /// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
 /// its angle first.
 ///
 /// # Errors
-/// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::NotRestarted`] if it goes on running;
-/// [`BringUpError::Call`].
+/// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::NotThere`] if it does not answer within 5 s,
+/// [`BringUpError::NotRestarted`] if it goes on running; [`BringUpError::Call`].
 pub fn restart<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

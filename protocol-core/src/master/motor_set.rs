@@ -15,7 +15,7 @@ use crate::id::MotorId;
 /// assert_eq!(format!("{arm:?}"), "MotorSet(1 2 3)");
 /// ```
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
-#[must_use = "these may be motors that have not confirmed a stop: cut their power"]
+#[must_use = "of a stop they are those that have not confirmed it: cut their power"]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct MotorSet(u32);
 

@@ -56,8 +56,14 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         }
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
-            let held = session.ask(motor, ReadRunningMode)?.mode.raw() != 0
+            // Not every drive answers that.
+            let mode = session.master.ask(motor, ReadRunningMode);
+            let held = mode.is_ok_and(|reply| reply.mode.raw() != 0)
                 && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
+            if held {
+                // It can be stopped; a brake is to catch what falls, but not what runs.
+                session.standing(motor)?;
+            }
             let locked = session.lock_brake(motor).and_then(|says_so| match says_so {
                 true => session.brake_holds(motor),
                 false => Err(Unfinished::Failed(format!(

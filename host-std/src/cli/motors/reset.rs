@@ -1,8 +1,8 @@
 //! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunningMode};
-use myactuator_protocol_core::io::{Runner, bring_up};
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
+use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::units::Angle;
 
 use super::session::{OneMotor, Session, say};
@@ -50,11 +50,6 @@ fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
     session.is_not_left_halfway()?;
     session.standing(motor)?;
-    // What it holds, its brake holds meanwhile, if it has one.
-    let mode = session.master.ask(motor, ReadRunningMode);
-    if mode.is_ok_and(|reply| reply.mode.raw() != 0) {
-        session.lock_brake(motor)?;
-    }
     Ok(bring_up::restart(&mut session.master, motor, motor)?)
 }
 
