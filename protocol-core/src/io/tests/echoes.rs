@@ -139,6 +139,15 @@ fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_eac
     assert!(reads.iter().zip(&stops).all(|(read, stop)| read.0 == stop.0), "{sent:?}");
 }
 
+/// Its feedback may be the same bytes. Four answers show that there is none.
+#[test]
+fn who_gets_a_set_point_is_asked_first_what_shows_an_echo() {
+    let (port, mut arm) = quiet(UNTOLD);
+    arm.set_point(id(1), torque()).unwrap();
+    run(&mut arm, 50_000);
+    assert_eq!(sent(&port), [(1, 0x9A), (1, 0x9A), (1, 0x9A), (1, 0x9A), (1, 0xA1)]);
+}
+
 #[test]
 fn a_line_on_which_motors_answer_is_asked_four_times_and_no_more() {
     let (port, mut arm) = quiet(UNTOLD);
@@ -273,7 +282,8 @@ fn a_read_that_was_half_taken_has_no_answer() {
     arm.master().stop(id(1), StopKind::Hold).unwrap();
     run(&mut arm, 8_000);
     let answer = Frame { address: id(1).into(), data: [0x9A, 50, 30, 1, 0xE5, 1, 0, 0] }.encode();
-    for _ in 0..2 {
+    // Four reads, and a stop behind each.
+    for _ in 0..8 {
         let length = port.written().len();
         (port.state().at_most, port.state().fails_after) = (5, Some(length + 5));
         while port.written().len() == length {
