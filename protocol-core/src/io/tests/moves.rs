@@ -13,10 +13,10 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::async_bring_up::{Calls, move_to};
 use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress};
-use crate::io::{AsyncCanMaster, CallError, Runner};
+use crate::io::{AsyncCanMaster, CallError, CanMaster, Runner};
 use crate::master::{Failure, StopKind};
-use crate::time::Instant;
-use crate::units::{Angle, MaxSpeed};
+use crate::time::{Duration, Instant};
+use crate::units::{Angle, CoarseSpeed, MaxSpeed};
 use crate::wire::can::SimpleFrame;
 
 awaited! { [F: FnMut(&mut Data)] Says<F> }
@@ -105,6 +105,55 @@ fn who_reports_an_error_while_its_brake_opens_is_told_to_lock_it() {
         Err(BringUpError::Fault { motor, errors })
     );
     assert_eq!(bus.sent().last().map(|data| data[0]), Some(0x78));
+    assert!(arm.now() < Instant::from_millis(100), "at once: its load falls");
+}
+
+/// An error before it is told to open: what is open is locked, and what is locked stays as it is.
+#[test]
+fn who_has_an_error_has_its_brake_locked_where_it_is_open() {
+    for (brake, locks) in [(0, 0), (1, 1)] {
+        let (bus, mut arm) = says(move |data| {
+            if data[0] == 0x9A {
+                (data[3], data[6]) = (brake, 0x04);
+            }
+        });
+        let (motor, errors) = (id(1), ErrorFlags::UNDER_VOLTAGE);
+        let refused = bring_up::release_brake(&mut arm, motor);
+        assert_eq!(refused, Err(BringUpError::Fault { motor, errors }));
+        let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte != 0x9A);
+        assert_eq!(sent.collect::<Vec<_>>(), [0x78][..locks], "{brake}");
+    }
+}
+
+/// Nothing is open behind which it would have to hold.
+#[test]
+fn no_stop_goes_for_a_brake_that_is_not_told_to_open() {
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    assert!(arm.stop(id(1), StopKind::Hold));
+    let refused = bring_up::release_brake(&mut arm, id(1));
+    assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped).into()));
+    let later = arm.now() + Duration::from_millis(500);
+    arm.run_until(later, |_| {}).unwrap();
+    assert_eq!(bus.sent().iter().filter(|data| data[0] == 0x81).count(), 1);
+}
+
+/// A worn one, under a load: it stood before.
+#[test]
+fn a_brake_behind_which_the_shaft_turns_slips() {
+    for (dps, slips) in [(2, false), (3, true)] {
+        let mut looks = 0;
+        let (_, mut arm) = says(move |data| match data[0] {
+            0x9A => data[3] = 0,
+            0x9C => {
+                looks += 1;
+                data[4] = if looks > 1 { dps } else { 0 };
+            }
+            _ => {}
+        });
+        let (motor, speed) = (id(1), CoarseSpeed::from_raw(dps.into()));
+        let told = Err(BringUpError::BrakeSlips { motor, speed });
+        assert_eq!(bring_up::lock_brake(&mut arm, motor), if slips { told } else { Ok(()) });
+    }
 }
 
 #[test]
