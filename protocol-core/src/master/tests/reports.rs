@@ -1,6 +1,7 @@
 //! What motors report by themselves.
 
 use super::*;
+use crate::command::ReadStatus2;
 
 #[test]
 fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
@@ -14,6 +15,21 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
     let _off = ask(&mut master, 1, report_angle(Switch::Off), ms(20));
     events(&mut master, ms(27));
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn who_reports_one_thing_less_goes_on_reporting_another_and_may_be_asked_the_rest() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let command = ReportedCommand::of(Opcode::ReadStatus1).unwrap();
+    let status = ActiveReply { command, ..report_angle(Switch::On) };
+    for (at, told) in [(0, status), (10, report_angle(Switch::On)), (20, report_angle(Switch::Off))]
+    {
+        let _ = ask(&mut master, 1, told, ms(at));
+        events(&mut master, ms(at + 7));
+    }
+    let refused = master.request(id(1), ReadStatus1).unwrap_err();
+    assert_eq!(refused, RequestError::Reported(Opcode::ReadStatus1));
+    assert!(master.request(id(1), ReadStatus2).is_ok());
 }
 
 #[test]
