@@ -137,6 +137,29 @@ fn a_stop_of_every_cycle_has_its_turn_beside_broadcasts_of_every_cycle() {
     assert!(both[0] >= 10, "{both:?}");
 }
 
+/// Motor 1 may answer each of them yet, and does not.
+#[test]
+fn beside_a_stop_of_every_cycle_a_broadcast_waits_for_the_answers_to_the_one_before_it() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let mut to_all = Vec::new();
+    for now in 0..300 {
+        master.stop(id(1), StopKind::Off).unwrap();
+        let _active = master.broadcast(ReadModel, MotorSet::EMPTY);
+        events(&mut master, ms(now));
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        if packet.channel == Channel::Command(Target::All) {
+            to_all.push(ms(now));
+        } else {
+            let frame = Frame { address: Target::Motor(id(1)), data: packet.data };
+            master.handle_line(&frame, ms(now) + Duration::from_micros(900));
+        }
+    }
+    let may_come_for = master.config().reply_timeout + master.config().late_window;
+    let waits = |pair: &[Instant]| pair[1] - pair[0] >= may_come_for;
+    assert!(to_all.len() > 1 && to_all.windows(2).all(waits), "{to_all:?}");
+}
+
 /// The first call keeps the line for its fifteen attempts, of 5 ms each; each call after that for one in two turns.
 #[test]
 fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn() {
