@@ -137,6 +137,25 @@ fn no_stop_goes_for_a_brake_that_is_not_told_to_open() {
     assert_eq!(bus.sent().iter().filter(|data| data[0] == 0x81).count(), 1);
 }
 
+/// It holds, until its brake is told to lock, which slips; then its drive says whether it has an error.
+#[test]
+fn a_brake_that_slips_is_opened_again_unless_its_drive_has_failed() {
+    for has_error in [false, true] {
+        let mut was_locked = false;
+        let (bus, mut arm) = says(move |data| match data[0] {
+            0x70 => data[7] = 2,
+            0x78 => was_locked = true,
+            0x9A => (data[3], data[6]) = (0, if was_locked && has_error { 0x04 } else { 0 }),
+            0x9C if was_locked => data[4] = 90,
+            _ => {}
+        });
+        let told = bring_up::lock_brake(&mut arm, id(1));
+        assert!(matches!(told, Err(BringUpError::BrakeSlips { .. })), "{told:?}");
+        let opened = bus.sent().iter().any(|data| data[0] == 0x77);
+        assert_eq!(opened, !has_error);
+    }
+}
+
 /// A worn one, under a load: it stood before.
 #[test]
 fn a_brake_behind_which_the_shaft_turns_slips() {
@@ -151,7 +170,7 @@ fn a_brake_behind_which_the_shaft_turns_slips() {
             _ => {}
         });
         let (motor, speed) = (id(1), CoarseSpeed::from_raw(dps.into()));
-        let told = Err(BringUpError::BrakeSlips { motor, speed });
+        let told = Err(BringUpError::BrakeSlips { motor, speed, holds: false });
         assert_eq!(bring_up::lock_brake(&mut arm, motor), if slips { told } else { Ok(()) });
     }
 }
