@@ -139,7 +139,7 @@ impl<const N: usize> Master<N> {
         let (round, offer) = first?;
         // One round ahead of a motor that may be waiting for its turn is enough; and none where this could push its frame
         // out.
-        let next = round.wrapping_add((self.pushes_out_for(now) > Duration::ZERO).into());
+        let next = round.wrapping_add(self.pushes_out_for(now).is_some().into());
         let mut all = self.at(self.places.in_flight);
         (!all.any(|(_, motor)| motor.is_waited_for(next))).then_some(offer)
     }
@@ -254,11 +254,9 @@ impl<const N: usize> Master<N> {
     }
 
     /// How long yet more than one frame may lie in mailboxes and be pushed out of them.
-    fn pushes_out_for(&self, now: Instant) -> Duration {
-        match self.pushes_out {
-            true => (self.busy_until - now) - self.config.frame_time,
-            false => Duration::ZERO,
-        }
+    fn pushes_out_for(&self, now: Instant) -> Option<Duration> {
+        let time = || (self.busy_until - now) - self.config.frame_time;
+        self.pushes_out.then(time).filter(|time| *time > Duration::ZERO)
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
@@ -308,9 +306,10 @@ impl<const N: usize> Master<N> {
                 self.choose(self.busy_until).map(|_| self.busy_until)
             };
             earliest.take(offered_at);
-        } else if !self.places.waiting.without(self.places.in_flight).is_empty() {
-            let time = self.pushes_out_for(self.now);
-            earliest.take((time > Duration::ZERO).then(|| self.now + time));
+        } else if let Some(time) = self.pushes_out_for(self.now)
+            && !self.places.waiting.without(self.places.in_flight).is_empty()
+        {
+            earliest.take(self.now + time);
         }
         earliest.take(self.broadcast.deadline(&self.config));
         let mut stops = self.at(self.places.stops);
