@@ -234,7 +234,7 @@ async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
     motor: MotorId,
     stored: EncoderPulses,
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    restart(runner, motor, motor).await?;
+    restart_what_is_off(runner, motor, motor).await?;
     let found = runner.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
     let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
     if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
@@ -260,9 +260,18 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     motor: MotorId,
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    const LONGEST_RESTART: Duration = Duration::from_secs(5);
     runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
     lock_if_there(runner, motor).await?;
+    restart_what_is_off(runner, motor, then).await
+}
+
+/// The same, of a motor that holds nothing.
+pub(super) async fn restart_what_is_off<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    then: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    const LONGEST_RESTART: Duration = Duration::from_secs(5);
     let mut fails = BringUpError::NotRestarted(motor);
     for _ in 0..RESTARTS {
         // One with a new id may answer under that already; one that does not answer may hear all the same.

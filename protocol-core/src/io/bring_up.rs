@@ -235,12 +235,12 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
 /// drive (0x76), and reads offset and angle back. The motor's output is switched off first. What it holds, its
 /// brake is told to hold before (0x78); where it has none, the shaft must be held by other means if a load pulls at it. A
-/// motor that turns is refused. Gives the new offset. Where several motors have this id all of them do this: see first whether it
-/// [is shared](is_shared).
+/// motor that turns is refused. Gives the new offset. Where several motors have this id all of them do this: see first
+/// whether it [is shared](is_shared).
 ///
 /// # Errors
-/// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told; [`BringUpError::ZeroNotKept`],
-/// [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was.
+/// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told;
+/// [`BringUpError::ZeroNotKept`], [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was.
 pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -258,8 +258,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///
 /// # Errors
 /// [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`],
-/// [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told; [`BringUpError::IdNotTaken`], [`BringUpError::NotRestarted`] and
-/// [`BringUpError::MayBeWritten`] if it was.
+/// [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told; [`BringUpError::IdNotTaken`],
+/// [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was.
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -301,8 +301,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     block_on(task::release_brake(&mut Polled(runner), motor))
 }
 
-/// Locks the brake of a motor that stands, and waits until it has had the time to (0x78, 2.28). The motor can be switched off behind it, as it is when nobody speaks to it any more and its protection is set (0xB3):
-/// before that, a load falls until the brake holds.
+/// Locks the brake of a motor that stands, and waits until it has had the time to (0x78, 2.28). The motor can be switched
+/// off behind it, as it is when nobody speaks to it any more and its protection is set (0xB3): before that, a load falls
+/// until the brake holds.
 ///
 /// ```
 /// use myactuator_protocol_core::io::Runner;

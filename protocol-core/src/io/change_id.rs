@@ -11,7 +11,7 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::{find, is_there, may_be_written, restart};
+use crate::io::async_bring_up::{find, is_there, may_be_written, restart_what_is_off};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::lock_if_there;
 use crate::io::bring_up::BringUpError;
@@ -78,7 +78,7 @@ async fn write_id<R: AsyncRunner<N>, const N: usize>(
     }
     // Some answer under the new id without that.
     if !is_there(runner, to).await? {
-        restart(runner, from, to).await?;
+        restart_what_is_off(runner, from, to).await?;
     }
     if is_there(runner, from).await? {
         return Err(BringUpError::IdShared(from));

@@ -10,8 +10,8 @@ use crate::cli::Outcome;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
-/// The shaft is free meanwhile unless a brake holds it, which is locked first if the motor holds (0x78), and whole turns are lost unless multi-turn saving
-/// (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and
+/// The shaft is free meanwhile unless a brake holds it, which is locked first where the motor runs (0x78), and whole turns
+/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and
 /// has no error, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
