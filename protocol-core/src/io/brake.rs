@@ -9,7 +9,7 @@ use crate::io::async_bring_up::SPOKEN_TO_EVERY;
 use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
-use crate::io::standing::{runs, turns};
+use crate::io::standing::{check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
 use crate::units::CoarseSpeed;
@@ -44,10 +44,15 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
         let _ = bus.ask(motor, LockBrake).await;
         return Err(fails(status));
     }
-    match status.brake {
-        BrakeCommand::RELEASE => Ok(()),
-        says => Err(BringUpError::BrakeNotReleased { motor, says }),
+    if status.brake != BrakeCommand::RELEASE {
+        return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
     }
+    if turns_still(bus, motor).await?.is_some() && runs(bus, motor).await == Some(false) {
+        // Somebody has switched it off since.
+        let _ = bus.ask(motor, LockBrake).await;
+        return Err(BringUpError::LetGo(motor));
+    }
+    Ok(())
 }
 
 /// Leaves a motor that holds, or whose stop is in force, unless its brake was not told to open.
@@ -98,14 +103,14 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     if says != BrakeCommand::LOCK {
         return Err(BringUpError::BrakeNotLocked { motor, says });
     }
-    let Some(speed) = slips(bus, motor).await? else { return Ok(()) };
+    let Some(speed) = turns_still(bus, motor).await? else { return Ok(()) };
     // No drive holds behind a locked brake.
     let holds = held && release_brake(bus, motor).await.is_ok();
     Err(BringUpError::BrakeSlips { motor, speed, holds })
 }
 
-/// How fast the shaft turns behind a brake: one look may find it swing.
-async fn slips<B: Calls<N>, const N: usize>(
+/// How fast the shaft turns, if it does: one look may find it swing.
+async fn turns_still<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
@@ -128,10 +133,9 @@ pub(super) async fn lock_if_there<B: Calls<N>, const N: usize>(
         return Ok(());
     }
     match lock_brake(bus, motor).await {
-        Err(
-            BringUpError::BrakeNotLocked { .. }
-            | BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. }),
-        ) => Ok(()),
+        // It has none, unless something has opened it again.
+        Err(BringUpError::BrakeNotLocked { .. }) => check_stands(bus, motor).await,
+        Err(BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. })) => Ok(()),
         outcome => outcome,
     }
 }

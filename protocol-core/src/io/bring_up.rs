@@ -120,6 +120,10 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
+    /// The shaft turns, its brake open, and the motor runs nothing that could hold it: something has switched it off since
+    /// it was told to hold. Its brake is locked, or was told to be.
+    #[error("motor {0} was switched off while its brake opened: the brake is told to lock again")]
+    LetGo(MotorId),
     /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before is told to
     /// hold again, unless a stop in force refuses that: [lift it](crate::master::Master::lift_stop_of), and
     /// [open the brake](release_brake), or cut in otherwise. Nothing was written, nor was it switched off.
@@ -289,11 +293,11 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Speed and position commands open a brake by themselves, and hold.
 ///
 /// # Errors
-/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`]. If the motor does not answer that
-/// its brake is to open, or that it is to hold, or the bus fails then, the brake may be open all the same: it is
-/// [stopped](crate::master::Master::stop), until that is lifted. It is told to hold when an answer is late, so let
-/// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. Where somebody
-/// else has switched it off meanwhile, its brake may be open, too: lock that, which no stop refuses.
+/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::LetGo`], [`BringUpError::Call`]. If the
+/// motor does not answer that its brake is to open, or that it is to hold, or the bus fails then, the brake may be open
+/// all the same: it is [stopped](crate::master::Master::stop), until that is lifted. It is told to hold when an answer is
+/// late, so let [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. Where
+/// somebody else has switched it off meanwhile, its brake may be open, too: lock that, which no stop refuses.
 pub fn release_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -2,7 +2,6 @@
 
 use crate::command::{ReadRunningMode, ReadStatus2};
 use crate::id::MotorId;
-use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::units::CoarseSpeed;
@@ -11,11 +10,11 @@ use crate::units::CoarseSpeed;
 const STANDS_DPS: u16 = 2;
 
 /// Refuses a motor that turns: switched off, it would run on.
-pub(super) async fn check_stands<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
-    let speed = runner.ask(motor, ReadStatus2).await?.speed;
+) -> Result<(), BringUpError<B::Error>> {
+    let speed = bus.ask(motor, ReadStatus2).await?.speed;
     if turns(speed) { Err(BringUpError::Turns { motor, speed }) } else { Ok(()) }
 }
 

@@ -18,7 +18,7 @@ const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
 /// Release or lock a motor's brake
 ///
-/// The brake of a turning motor that can be stopped is not locked: stop it first. If one that held does not stand behind
+/// The brake of a motor that turns and runs something is not locked: stop it first. If one that held does not stand behind
 /// its brake, that is opened again and the motor holds (0x77, 0x81). A release lets the shaft go, and a load with it;
 /// 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
 /// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
@@ -56,24 +56,16 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         }
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
-            // Not every drive answers that.
-            let mode = session.master.ask(motor, ReadRunningMode);
-            let held = mode.is_ok_and(|reply| reply.mode.raw() != 0)
+            let held = session.runs_something(motor) == Some(true)
                 && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
-            if held {
-                // It can be stopped; a brake is to catch what falls, but not what runs.
-                session.standing(motor)?;
-            }
-            let locked = session.lock_brake(motor).and_then(|says_so| match says_so {
-                true => session.brake_holds(motor),
-                false => Err(Unfinished::Failed(format!(
+            if !session.lock_brake(motor)? {
+                return Err(Unfinished::Failed(format!(
                     "motor {motor}: the brake was told to lock, and the motor says that it was not"
-                ))),
-            });
-            locked.map_err(|why| match why {
-                Unfinished::Failed(_) if held => session.hold_again(motor, why),
-                why => why,
-            })?;
+                )));
+            }
+            if let Some(why) = session.slips(motor)? {
+                return Err(if held { session.hold_again(motor, why) } else { why });
+            }
             say(&format!("motor {motor}: brake locked"))
         }
     }
@@ -139,18 +131,23 @@ impl Session {
         }
     }
 
-    /// Sees that the shaft stands behind a brake that has had the time to lock: nothing else says that it does.
-    pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
+    /// Sees whether the shaft stands behind a brake that has had the time to lock: nothing else says that it does.
+    pub(super) fn slips(&mut self, motor: MotorId) -> Outcome<Option<Unfinished>> {
         let end = self.master.now() + BRAKE_SHOWS;
         while self.master.now() < end {
             if let Some(speed) = self.turns_at(motor)? {
-                return Err(Unfinished::Failed(format!(
+                return Ok(Some(Unfinished::Failed(format!(
                     "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
-                )));
+                ))));
             }
             self.wait_until(self.master.now() + LONGEST_WAIT)?;
         }
-        Ok(())
+        Ok(None)
+    }
+
+    /// Whether the motor runs something, so that it may hold what would fall; not every drive answers that.
+    pub(super) fn runs_something(&mut self, motor: MotorId) -> Option<bool> {
+        self.master.ask(motor, ReadRunningMode).ok().map(|reply| reply.mode.raw() != 0)
     }
 }
 

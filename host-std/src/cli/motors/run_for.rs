@@ -65,15 +65,13 @@ pub(super) fn run<C: Command + Copy>(
     let opens = run.needs_open_brake && locked;
     let end = match run.end {
         // Where only the motor holds a load, it would fall.
-        StopKind::Off if !locked && session.ask(motor, ReadRunningMode)?.mode.raw() != 0 => {
-            StopKind::Hold
-        }
+        StopKind::Off if !locked && session.runs_something(motor) != Some(false) => StopKind::Hold,
         end => end,
     };
     let first = if opens { "have its brake released and " } else { "" };
     let then = match end {
         StopKind::Hold => "then stop and hold still",
-        StopKind::Off => "then be switched off",
+        StopKind::Off => "then stop, and be switched off behind its brake if it has one",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
     // Until the answer a shaft may have been turned.
@@ -84,9 +82,7 @@ pub(super) fn run<C: Command + Copy>(
         }
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
-            StopKind::Off if opens => put_down(session, motor),
-            StopKind::Off => slow_down(session, motor)
-                .and_then(|()| session.stopped_by(StopKind::Off, motor.into())),
+            StopKind::Off => put_down(session, motor),
             StopKind::Hold => session.stopped_by(StopKind::Hold, motor.into()),
         };
         // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
@@ -101,28 +97,27 @@ pub(super) fn run<C: Command + Copy>(
     say(&format!("motor {motor} has run for {seconds} s; {ended}"))
 }
 
-/// Stops a motor and waits until it stands: switched off before, it would run on.
-fn slow_down(session: &mut Session, motor: MotorId) -> Outcome {
-    session.stop(StopKind::Hold, motor.into())?;
-    session.come_to_rest(motor)
-}
-
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
 fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
-    // No brake is locked on a shaft that turns still.
-    slow_down(session, motor)?;
-    let mut holds = match session.lock_brake(motor) {
+    session.stop(StopKind::Hold, motor.into())?;
+    // Not on a shaft that turns still.
+    session.come_to_rest(motor)?;
+    let holds = |session: &mut Session| match session.slips(motor) {
+        Ok(None) => Ok(()),
+        Ok(Some(why)) | Err(why) => Err(why),
+    };
+    let mut held = match session.lock_brake(motor) {
         // It has none, so that only the motor holds what it holds.
         Ok(false) => return session.stopped_by(StopKind::Hold, motor.into()),
-        Ok(true) => session.brake_holds(motor),
+        Ok(true) => holds(session),
         Err(why) => Err(why),
     };
-    if holds.is_ok() {
+    if held.is_ok() {
         session.confirm_stop(StopKind::Off, motor.into())?;
         // Only now does it hold alone: that is looked at before anything else.
-        holds = session.brake_holds(motor);
+        held = holds(session);
     }
-    if let Err(why) = holds {
+    if let Err(why) = held {
         // The motor held its load, so it is to hold that again.
         return Err(session.hold_again(motor, why));
     }
@@ -226,8 +221,8 @@ mod tests {
     use myactuator_host_std::sim::plant::Load;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
-        AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Stop, Torque,
-        WriteAcceleration,
+        AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, ReleaseBrake, Speed, Stop,
+        Torque, WriteAcceleration,
     };
     use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::io::bring_up;
@@ -376,22 +371,27 @@ mod tests {
         run(session, &typed, &run_it, |_| Ok(()), reading)
     }
 
-    /// A load that only the motor holds would fall.
+    /// What only the motor holds would fall, and what turns would run on.
     #[test]
-    fn what_was_held_with_an_open_brake_is_held_at_the_end() {
-        for (holds, last) in [(false, 0x80), (true, 0x81)] {
-            let fleet = fleet();
+    fn a_motor_is_stopped_and_switched_off_behind_its_brake_unless_it_held_before() {
+        let put_down: &[u8] = &[0x81, 0x78, 0x80];
+        for (has_brake, held, last) in [
+            (false, false, &[0x81, 0x78, 0x81][..]),
+            (true, false, put_down),
+            (true, true, &[0x81]),
+        ] {
+            let fleet = Fleet::new(1).brakes(has_brake).on_can(1_000_000).unwrap();
             let mut session = Session::on(&fleet);
-            if holds {
+            session.ask(MotorId::MIN, ReleaseBrake).unwrap();
+            if held {
                 session.ask(MotorId::MIN, Stop).unwrap();
             }
             let log = fleet.world.log();
             run_to_end(&mut session, TURN, (0.3, true, StopKind::Off), || {}).unwrap();
-            let mut ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
-            assert_eq!(ends.next_back(), Some(last));
-            if !holds {
-                assert_eq!(ends.next_back(), Some(0x81), "switched off alone it would run on");
-            }
+            let is_end = |byte: &u8| matches!(byte, 0x77..=0x81);
+            let ends: Vec<u8> = commands(&log).into_iter().filter(is_end).collect();
+            assert!(ends.starts_with(&last[..1]) && ends.last() == last.last(), "{ends:02X?}");
+            assert_eq!(ends.contains(&0x80), last == put_down, "{ends:02X?}");
             session.standing(MotorId::MIN).unwrap();
         }
     }

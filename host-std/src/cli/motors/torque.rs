@@ -9,11 +9,10 @@ use super::run_for::{self, Run, Span};
 use super::speed::told;
 use crate::cli::{Outcome, arguments as parse};
 
-/// Run a motor at a torque current for a while, then stop it (0x81) and switch it off (0x80)
+/// Run a motor at a torque current for a while, then stop it (0x81) and switch it off behind its brake (0x78, 0x80)
 ///
-/// Nothing limits the speed. A locked brake is released first, and locked again before the motor is switched off, so that
-/// no load falls. One that ran something before, with its brake open or without one, is not switched off but holds still
-/// (0x81) at the end. Ctrl-C and errors stop the motor (0x81)
+/// Nothing limits the speed. A locked brake is released first. One that ran something before, or has no brake, is not
+/// switched off but holds still (0x81) at the end, so that no load falls. Ctrl-C and errors stop the motor (0x81)
 /// at once: it holds still, its brake open. Exit status: 0 if it has run, 1 if not, 2 for
 /// wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
