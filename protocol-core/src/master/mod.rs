@@ -172,8 +172,8 @@ pub struct Master<const N: usize> {
     stop_to_all_was: Option<StopKind>,
     /// CAN: where that is which all were told last, by a broadcast or to stop.
     for_all: ForAll,
-    /// CAN: the controller has handed a frame back for a more urgent one.
-    pushes_out: bool,
+    /// CAN: when the mailboxes are empty of a controller that has handed a frame back for a more urgent one.
+    mailboxes_until: Option<Instant>,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
     /// What was sent last was a stop that had been called for again.
@@ -217,7 +217,7 @@ impl<const N: usize> Master<N> {
             stop_to_all_sent: Instant::ZERO,
             stop_to_all_was: None,
             for_all: ForAll::Gone,
-            pushes_out: false,
+            mailboxes_until: None,
             is_any_off_since: false,
             was_called_again: false,
             pace: 0,

@@ -244,6 +244,10 @@ impl<const N: usize> Master<N> {
     /// Notes one more frame on the bus: behind what is queued already, or right now.
     pub(super) fn note_bus_busy(&mut self, now: Instant) {
         self.busy_until = self.busy_until.max(now) + self.config.frame_time;
+        // No reply comes between: commands are more urgent than all of these.
+        if let Some(until) = &mut self.mailboxes_until {
+            *until = now.max(*until) + self.config.frame_time;
+        }
     }
 
     /// RS485: the drives turn around before the next command.
@@ -255,8 +259,8 @@ impl<const N: usize> Master<N> {
 
     /// How long yet more than one frame may lie in mailboxes and be pushed out of them.
     fn pushes_out_for(&self, now: Instant) -> Option<Duration> {
-        let time = || (self.busy_until - now) - self.config.frame_time;
-        self.pushes_out.then(time).filter(|time| *time > Duration::ZERO)
+        let time = (self.mailboxes_until? - now) - self.config.frame_time;
+        Some(time).filter(|time| *time > Duration::ZERO)
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames

@@ -202,7 +202,7 @@ impl<const N: usize> Master<N> {
     /// as taken with that: so it may be said before [`handle_transmitted`](Self::handle_transmitted) or after it.
     pub fn handle_pushed_out(&mut self, packet: &Packet) {
         self.handle_transmitted(self.now);
-        self.pushes_out = true;
+        self.mailboxes_until.get_or_insert(self.now);
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {

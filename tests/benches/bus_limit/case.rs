@@ -115,8 +115,15 @@ impl Case {
         let Stage { motors, port, host, seen, looks, responses } =
             Stage::new(self.surroundings(), motors);
         let mut bus = CanMaster::<_, _, 32>::new(port, host, Config::CAN);
-        for &motor in &motors {
+        let mut order = motors.clone();
+        if matches!(self.1, Controller::ByPriority) {
+            // By rising urgency, so that frames are handed back, as they are sooner or later in any program.
+            order.reverse();
+        }
+        for motor in order {
             command(&mut bus, motor, kind);
+            let event = bus.poll();
+            assert!(matches!(event, Ok(None)), "nobody answers yet: {event:?}");
         }
         let start = bus.now() + SETTLE;
         run(&mut bus, kind, start);
