@@ -79,7 +79,7 @@ impl Truth {
             let page = self.page(motor);
             let called = page.stop_called;
             page.stops_taken += 1;
-            (page.is_told, page.may_be_untold) = (true, false);
+            page.is_told = true;
             page.tellings += 1;
             self.note_taken(motor, packet, called);
             return;
@@ -165,8 +165,8 @@ impl Truth {
                 let may_be_lost = is_own && now - sending.last_taken >= longest;
                 sending.was_lost_and_back |= may_be_lost;
                 page.lost_and_back += u64::from(may_be_lost && is_asking(packet));
-                let may_be_answered =
-                    page.strangers_answered_at.is_some_and(|at| at >= sending.last_taken);
+                let strangers = page.strangers_answered_at.get(&question_of(packet));
+                let may_be_answered = strangers.is_some_and(|at| *at >= sending.last_taken);
                 page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
             if is_stop || is_before {
@@ -314,7 +314,7 @@ impl Truth {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
             }
         } else if name.is_strangers() {
-            page.strangers_answered_at = Some(now);
+            page.strangers_answered_at.insert(question, now);
             page.excuses.note(question, Excuse::AnotherMaster, now, window);
         } else if name.token & 0xFF00_0000 == REPORTS {
             page.excuses.note(question, Excuse::ReportedByItself, now, window);

@@ -204,6 +204,7 @@ impl Oracle {
                 if page.is_stopped {
                     // It goes on, and nothing more is told of that but its confirmation.
                     (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
+                    page.may_be_untold &= page.stops_taken == 0;
                     (page.stops_taken, page.was_told) = (0, page.is_told);
                 }
                 if !was_stopping || taken < attempts {

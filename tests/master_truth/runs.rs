@@ -169,6 +169,11 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(9_101_198);
     // A collision makes an answer of another angle, whose token and check are right.
     as_drawn::<Rs485Line>(9_101_525);
+    // Deliberate faults that nothing else notices: an answer that is owed confirms a stop; what ends the motion of all
+    // goes no more when it is handed back; what was answered and is handed back counts as answered.
+    as_drawn::<CanBus>(2_706);
+    as_drawn::<CanBus>(1_827);
+    as_drawn::<CanBus>(3_082);
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

@@ -159,8 +159,8 @@ impl Truth {
             self.breaks(format!("motor {motor} is stopped, and all are to be first"));
         }
         let page = self.page(motor);
-        let is_second = page.stops_taken > 0 || page.is_told;
-        let is_sure = !page.is_begun_anew && !page.may_be_stopping && !page.may_be_untold;
+        let is_second = page.stops_taken > 0 || page.is_told && !page.may_be_untold;
+        let is_sure = !page.is_begun_anew && !page.may_be_stopping;
         if is_second && is_sure && self.is_first_stop_due() {
             let first: MotorSet = MotorId::all()
                 .filter(|motor| self.pages[motor.index()].waits_for_first_stop())

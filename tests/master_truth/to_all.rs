@@ -247,6 +247,7 @@ impl Truth {
         }
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
         (page.stop_called, page.stop_called_at) = (called, now);
+        page.may_be_untold &= page.stops_taken == 0;
         (page.stops_taken, page.is_told_with_all, page.was_told) = (taken, false, page.is_told);
         page.stop = stop;
         page.was_given_up = false;

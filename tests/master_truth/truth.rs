@@ -11,7 +11,7 @@ use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 use super::bounds::{Clocks, Quiet};
 use super::doubt::Doubt;
 use super::excuses::{Excuse, Excuses};
-use super::names::Name;
+use super::names::{Name, Question};
 use super::restarts::RunTime;
 use super::set_points::SetPoints;
 use super::stops::{Answers, Offers, StopToAll};
@@ -64,8 +64,8 @@ pub(crate) struct Page {
     pub(crate) lost_and_back: u64,
     /// And so many when what another master had asked was answered meanwhile, and may have passed for their answer.
     pub(crate) answered_and_back: u64,
-    /// When such an answer last came.
-    pub(super) strangers_answered_at: Option<Instant>,
+    /// When such an answer last came, of each question.
+    pub(super) strangers_answered_at: HashMap<Question, Instant>,
     /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
@@ -280,6 +280,7 @@ impl Page {
         if self.is_stopping {
             self.is_begun_anew = true;
         } else {
+            self.may_be_untold &= self.stops_taken == 0;
             (self.may_be_stopping, self.stops_taken) = (true, 0);
             self.was_told = self.is_told;
             self.is_told_with_all = false;
