@@ -261,7 +261,13 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
-    lock_if_there(runner, motor).await?;
+    if is_there(runner, motor).await? {
+        match lock_if_there(runner, motor).await {
+            // It falls all the same; an error that keeps it from holding goes with the restart.
+            Ok(()) | Err(BringUpError::BrakeSlips { holds: false, .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
     restart_what_is_off(runner, motor, then).await
 }
 

@@ -92,13 +92,33 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    let held = runs(bus, motor).await != Some(false)
-        && bus.ask(motor, ReadStatus1).await?.errors.is_empty();
-    if turns(speed) && held {
-        return Err(BringUpError::Turns { motor, speed });
-    }
+    let held = may_hold(bus, motor).await?;
     bus.ask(motor, LockBrake).await?;
+    see_locked(bus, motor, held).await
+}
+
+/// Whether the motor may hold its shaft: it runs something, or does not say, and its brake is open. One that turns then
+/// is refused.
+async fn may_hold<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<bool, BringUpError<B::Error>> {
+    let speed = bus.ask(motor, ReadStatus2).await?.speed;
+    let status = bus.ask(motor, ReadStatus1).await?;
+    let is_open = status.brake != BrakeCommand::LOCK;
+    let runs = runs(bus, motor).await.unwrap_or(is_open);
+    match runs && status.errors.is_empty() {
+        true if turns(speed) => Err(BringUpError::Turns { motor, speed }),
+        may_hold => Ok(may_hold),
+    }
+}
+
+/// Sees whether the brake holds that was told to lock. What has held the shaft until then is to hold it again if not.
+async fn see_locked<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    held: bool,
+) -> Result<(), BringUpError<B::Error>> {
     let says = moved(bus, motor, |_| false).await?.brake;
     if says != BrakeCommand::LOCK {
         return Err(BringUpError::BrakeNotLocked { motor, says });
@@ -107,6 +127,29 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     // No drive holds behind a locked brake.
     let holds = held && release_brake(bus, motor).await.is_ok();
     Err(BringUpError::BrakeSlips { motor, speed, holds })
+}
+
+/// Locks the brake of a motor that is about to be switched off, if it has one and it is open, so that nothing falls.
+pub(super) async fn lock_if_there<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    if bus.ask(motor, ReadStatus1).await?.brake == BrakeCommand::LOCK {
+        return Ok(());
+    }
+    let held = may_hold(bus, motor).await?;
+    let locked = match bus.ask(motor, LockBrake).await {
+        Ok(_) => see_locked(bus, motor, held).await,
+        Err(error) => Err(error.into()),
+    };
+    match locked {
+        // It has none, or does not know the command; or something has opened it again.
+        Err(
+            BringUpError::BrakeNotLocked { .. }
+            | BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. }),
+        ) => check_stands(bus, motor).await,
+        outcome => outcome,
+    }
 }
 
 /// How fast the shaft turns, if it does: one look may find it swing.
@@ -121,23 +164,6 @@ async fn turns_still<B: Calls<N>, const N: usize>(
         speed = bus.ask(motor, ReadStatus2).await?.speed;
     }
     Ok(Some(speed).filter(|speed| turns(*speed)))
-}
-
-/// Locks the brake of a motor that is about to be switched off, if it has one, so that nothing falls. One that runs
-/// nothing holds nothing; some answer neither what they run nor this.
-pub(super) async fn lock_if_there<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<(), BringUpError<B::Error>> {
-    if runs(bus, motor).await == Some(false) {
-        return Ok(());
-    }
-    match lock_brake(bus, motor).await {
-        // It has none, unless something has opened it again.
-        Err(BringUpError::BrakeNotLocked { .. }) => check_stands(bus, motor).await,
-        Err(BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. })) => Ok(()),
-        outcome => outcome,
-    }
 }
 
 /// Gives a brake the time to open or to lock, unless it is over before; how the drive is then.

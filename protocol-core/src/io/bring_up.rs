@@ -125,7 +125,8 @@ pub enum BringUpError<E> {
     #[error("motor {0} was switched off while its brake opened: the brake is told to lock again")]
     LetGo(MotorId),
     /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before is told to
-    /// hold again, unless a stop in force refuses that: [lift it](crate::master::Master::lift_stop_of), and
+    /// hold again. Where it does not: a stop in force refuses that until it is
+    /// [lifted](crate::master::Master::lift_stop_of), and whoever reports an error holds nothing;
     /// [open the brake](release_brake), or cut in otherwise. Nothing was written, nor was it switched off.
     #[error(
         "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}{}",

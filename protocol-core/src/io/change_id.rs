@@ -58,8 +58,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     let function_control = Opcode::FunctionControl.into();
     runner.master().check(function_control, from.into()).map_err(CallError::refused(from))?;
     check_stands(runner, from).await?;
-    // Some drives keep nothing unless they are shut down.
     lock_if_there(runner, from).await?;
+    // Some drives keep nothing unless they are shut down.
     runner.ask(from, Shutdown).await?;
     write_id(runner, from, to, there.len() == 1).await.map_err(may_be_written(from))
 }

@@ -20,7 +20,9 @@ pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
 
 /// Whether the motor runs something, so that it can stop or hold its shaft; not every drive answers that.
 pub(super) async fn runs<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
-    bus.ask(motor, ReadRunningMode).await.map(|reply| reply.mode.raw() != 0).ok()
+    // Once: a short protection does not outlast more.
+    let reply = bus.ask_often(motor, ReadRunningMode, Some(1)).await;
+    reply.map(|reply| reply.mode.raw() != 0).ok()
 }
 
 /// Whether a motor that reports this speed turns: up to 2 dps it stands, since feedback may flicker by a step.

@@ -58,17 +58,25 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
             let held = session.runs_something(motor) == Some(true)
                 && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
-            if !session.lock_brake(motor)? {
-                return Err(Unfinished::Failed(format!(
+            match session.lock_brake(motor)? {
+                Lock::Holds => say(&format!("motor {motor}: brake locked")),
+                Lock::IsNotThere => Err(Unfinished::Failed(format!(
                     "motor {motor}: the brake was told to lock, and the motor says that it was not"
-                )));
+                ))),
+                Lock::Slips(why) if held => Err(session.hold_again(motor, why)),
+                Lock::Slips(why) => Err(why),
             }
-            if let Some(why) = session.slips(motor)? {
-                return Err(if held { session.hold_again(motor, why) } else { why });
-            }
-            say(&format!("motor {motor}: brake locked"))
         }
     }
+}
+
+/// What came of locking a brake.
+pub(super) enum Lock {
+    Holds,
+    /// The motor says that it was told no such thing: it has none.
+    IsNotThere,
+    /// The shaft turns behind it.
+    Slips(Unfinished),
 }
 
 impl Session {
@@ -120,26 +128,31 @@ impl Session {
         })
     }
 
-    /// Locks the brake of a motor that stands, and waits until it has had the time to. Whether the motor says that it
-    /// was told to: where it has none, it says that it was not.
-    pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<bool> {
+    /// Locks the brake of a motor that stands, waits until it has had the time to, and looks whether it holds.
+    pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
         match bring_up::lock_brake(&mut self.master, motor) {
-            Ok(()) => Ok(true),
-            Err(BringUpError::BrakeNotLocked { .. }) => Ok(false),
+            Ok(()) => Ok(self.slips(motor)?.map_or(Lock::Holds, Lock::Slips)),
+            Err(BringUpError::BrakeNotLocked { .. }) => Ok(Lock::IsNotThere),
+            Err(error @ BringUpError::BrakeSlips { .. }) => Ok(Lock::Slips(error.into())),
             Err(BringUpError::Call(error)) => Err(self.failed(error)),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Sees whether the shaft stands behind a brake that has had the time to lock: nothing else says that it does.
+    /// What is to be told where the shaft does not stand behind a brake that has had the time to lock: nothing else says
+    /// whether it does.
     pub(super) fn slips(&mut self, motor: MotorId) -> Outcome<Option<Unfinished>> {
         let end = self.master.now() + BRAKE_SHOWS;
+        let mut turned = false;
         while self.master.now() < end {
-            if let Some(speed) = self.turns_at(motor)? {
+            let speed = self.turns_at(motor)?;
+            // One look may find it swing.
+            if let Some(speed) = speed.filter(|_| turned) {
                 return Ok(Some(Unfinished::Failed(format!(
                     "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
                 ))));
             }
+            turned = speed.is_some();
             self.wait_until(self.master.now() + LONGEST_WAIT)?;
         }
         Ok(None)
