@@ -165,8 +165,10 @@ impl Truth {
                 let may_be_lost = is_own && now - sending.last_taken >= longest;
                 sending.was_lost_and_back |= may_be_lost;
                 page.lost_and_back += u64::from(may_be_lost && is_asking(packet));
-                let strangers = page.strangers_answered_at.get(&question_of(packet));
-                let may_be_answered = strangers.is_some_and(|at| *at >= sending.last_taken);
+                let question = question_of(packet);
+                let strangers = page.strangers_answered_at.get(&question);
+                let may_be_answered = strangers.is_some_and(|at| *at >= sending.last_taken)
+                    || page.excuses.holds(Excuse::Doubled, question, now);
                 page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
             if is_stop || is_before {

@@ -62,7 +62,8 @@ pub(crate) struct Page {
     pub(crate) asking: u64,
     /// So many of these were handed back when their time may have been up: that counts as no loss, and may be told.
     pub(crate) lost_and_back: u64,
-    /// And so many when what another master had asked was answered meanwhile, and may have passed for their answer.
+    /// And so many when another master had been answered meanwhile, or an answer come twice, which may have passed for
+    /// theirs.
     pub(crate) answered_and_back: u64,
     /// When such an answer last came, of each question.
     pub(super) strangers_answered_at: HashMap<Question, Instant>,
