@@ -47,15 +47,15 @@
 //! to go then, by a run time that is shorter than it must be when it is read (0xB1), or by an angle that jumps under a
 //! stream; one that shows by none of these is not noticed. Feedback that comes later and later may be taken for such a
 //! jump, at thousands of degrees a second. Another master may move a motor that is stopped here: its answer to that is an
-//! [`Event::Stray`], and no stop follows by itself. And a stop cannot be confirmed by a motor whose replies do not come through:
-//! then cut its power.
+//! [`Event::Stray`], and no stop follows by itself. And a stop cannot be confirmed by a motor whose replies do not come
+//! through: then cut its power.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
 //! arbitration against those of low ids and all commands; so no motor gets more than one round ahead
 //! of one that may be waiting for its turn to answer, nor one where a controller hands frames back and more than one
-//! may lie there: the motor of one that is pushed out would keep all waiting. Whoever was silent before, or had its chance on
-//! a quiet bus, is not waited for: on CAN a silent motor costs the others the time of its own commands
+//! may lie there: the motor of one that is pushed out would keep all waiting. Whoever was silent before, or had its
+//! chance on a quiet bus, is not waited for: on CAN a silent motor costs the others the time of its own commands
 //! on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
 //! motor keeps the line for [`Config::reply_timeout`]. Who speaks without being asked keeps nobody off it.
 
