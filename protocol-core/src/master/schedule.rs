@@ -310,10 +310,8 @@ impl<const N: usize> Master<N> {
                 self.choose(self.busy_until).map(|_| self.busy_until)
             };
             earliest.take(offered_at);
-        } else if let Some(time) = self.pushes_out_for(self.now)
-            && !self.places.waiting.without(self.places.in_flight).is_empty()
-        {
-            earliest.take(self.now + time);
+        } else if !self.places.waiting.without(self.places.in_flight).is_empty() {
+            earliest.take(self.pushes_out_for(self.now).map(|time| self.now + time));
         }
         earliest.take(self.broadcast.deadline(&self.config));
         let mut stops = self.at(self.places.stops);
