@@ -10,7 +10,7 @@ use crate::cli::Outcome;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
-/// The shaft is free meanwhile unless a brake holds it, which is locked first where the motor runs (0x78), and whole turns
+/// The shaft is free meanwhile unless a brake holds it, which is locked first where it is open (0x78), and whole turns
 /// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and
 /// has no error, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]

@@ -9,7 +9,7 @@ use crate::cli::Outcome;
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
-/// The motor's brake, if it has one, is locked (0x78) where the motor runs; then the motor is switched off (0x80), stores
+/// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off (0x80), stores
 /// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Exit status: 0 if the zero is kept, 1 if not, 2 for
 /// wrong usage.
 #[derive(Debug, clap::Args)]
