@@ -92,7 +92,8 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    let held = may_hold(bus, motor).await?;
+    let status = bus.ask(motor, ReadStatus1).await?;
+    let held = may_hold(bus, motor, &status).await?;
     bus.ask(motor, LockBrake).await?;
     see_locked(bus, motor, held).await
 }
@@ -102,9 +103,9 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
 async fn may_hold<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
+    status: &Status1,
 ) -> Result<bool, BringUpError<B::Error>> {
     let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    let status = bus.ask(motor, ReadStatus1).await?;
     let is_open = status.brake != BrakeCommand::LOCK;
     let runs = runs(bus, motor).await.unwrap_or(is_open);
     match runs && status.errors.is_empty() {
@@ -134,10 +135,11 @@ pub(super) async fn lock_if_there<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    if bus.ask(motor, ReadStatus1).await?.brake == BrakeCommand::LOCK {
+    let status = bus.ask(motor, ReadStatus1).await?;
+    if status.brake == BrakeCommand::LOCK {
         return Ok(());
     }
-    let held = may_hold(bus, motor).await?;
+    let held = may_hold(bus, motor, &status).await?;
     let locked = match bus.ask(motor, LockBrake).await {
         Ok(_) => see_locked(bus, motor, held).await,
         Err(error) => Err(error.into()),
