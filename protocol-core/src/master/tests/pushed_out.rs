@@ -423,6 +423,23 @@ fn a_stop_that_was_handed_back_behind_another_has_told_nobody() {
     assert_eq!(sent(&mut master, ms(30)), [first, second]);
 }
 
+/// A motion command begins with a position, of which the first byte may be that of a Shutdown. Motor 1 was told first.
+#[test]
+fn a_motion_command_that_is_handed_back_is_no_stop_whatever_its_first_byte() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let motion = RawMotion::decode(&[0x80, 0, 0x80, 0, 0, 0, 0, 0]);
+    master.set_point(id(1), motion, ms(0)).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    let _read = ask(&mut master, 2, ReadMultiTurnAngle, ms(2));
+    reply(&mut master, 2, ANGLE_REPLY, ms(3)).unwrap();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(4))[0], packet_to(2, Shutdown.encode()), "its first");
+}
+
 /// Motor 3 was told, and does not answer: its second is due, and older than whatever motor 1 is told.
 #[test]
 fn a_stop_that_is_handed_back_is_a_first_one_again_unless_its_motor_was_told_before() {

@@ -397,8 +397,31 @@ fn whoever_does_not_answer_what_all_are_asked_has_lost_one_and_who_does_has_answ
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
     reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
     assert_eq!(events(&mut master, ms(23)).len(), 1);
-    let counts = |motor| (master.health(id(motor)).answered, master.health(id(motor)).lost);
-    assert_eq!([counts(1), counts(2)], [(2, 0), (1, 1)]);
+    let counts = |master: &Master<2>, motor| {
+        let health = master.health(id(motor));
+        (health.answered, health.lost)
+    };
+    assert_eq!([counts(&master, 1), counts(&master, 2)], [(2, 0), (1, 1)]);
+    reply(&mut master, 2, ANGLE_REPLY, ms(24)).unwrap();
+    assert_eq!(counts(&master, 2), (1, 1), "too late");
+}
+
+/// Its feedback begins with its id, 0x20, which is what all were told.
+#[test]
+fn feedback_of_motion_is_no_answer_to_all_whatever_the_id_of_its_motor() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(FunctionControl::ErrorReporting(Switch::On), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    master.set_point(id(32), motion(), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    let data = [0x20, 0x80, 0, 0x80, 0x08, 0, 0, 0];
+    let packet = Packet { channel: Channel::MotionReply(id(32)), data };
+    master.handle_frame(&Received::Packet(packet), ms(2)).unwrap();
+    // Nothing that moves it is on its way any more.
+    master.stop(id(32), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    assert_eq!(reply(&mut master, 32, Shutdown.encode(), ms(3)), confirmed(32));
 }
 
 #[test]
