@@ -92,6 +92,21 @@ fn errors_are_told_also_where_the_status_was_asked_of_all() {
     assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
 }
 
+/// No drive answers so soon.
+#[test]
+fn errors_that_are_told_before_a_motor_can_have_answered_all_are_a_report() {
+    let errors = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(ReadStatus1, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let told = reply(&mut master, 1, errors, ms(2) + Duration::from_micros(200));
+    assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
+    let answer = reply(&mut master, 1, errors, ms(3));
+    assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
+}
+
 #[test]
 fn an_error_report_is_told_as_a_report() {
     let mut master = Master::<2>::new(Config::CAN);
