@@ -604,6 +604,10 @@ fn reaches_all(master: &mut Master<2>, kind: StopKind, now: u64) -> bool {
 fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     assert!(!reaches_all(&mut master, StopKind::Off, now), "nothing has moved anybody");
+    // Nor does a question.
+    let (mut master, now) = stopped_and_lifted(StopKind::Off);
+    tell_all(&mut master, ReadMultiTurnAngle, ANGLE_REPLY, now);
+    assert!(!reaches_all(&mut master, StopKind::Off, now + 2));
     // Motor 1 was told by itself since, and the others were not.
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
