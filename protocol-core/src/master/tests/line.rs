@@ -536,3 +536,21 @@ fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_
         assert_eq!(goes, is_moved || is_forgotten, "{is_moved} {is_forgotten}");
     }
 }
+
+/// What a stop goes over on CAN may come as late as that. Here nothing is under way any more when it goes.
+#[test]
+fn on_a_line_a_late_reply_is_waited_for_no_longer_because_of_a_stop() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(5));
+    // Its late window ends at 15.26 ms.
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(12)).len(), 1);
+    let answer = Frame { address: id(1).into(), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&answer, ms(13)), confirmed(1));
+    master.lift_stop();
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(15)), []);
+    assert_eq!(sent(&mut master, ms(16)).len(), 1);
+}
