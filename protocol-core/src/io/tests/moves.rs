@@ -4,6 +4,8 @@ use core::ops::ControlFlow;
 use std::string::ToString as _;
 use std::vec::Vec;
 
+use embedded_can::{Frame as _, nb};
+
 use super::calls::{Says, hearing, says};
 use super::world::{Broken, TestCan, TestClock, awaited, block_on, on_can, pending};
 use super::{id, step};
@@ -87,6 +89,39 @@ fn who_does_not_answer_when_its_brake_opens_is_told_to_hold_each_time() {
     // Where it is refused, nothing is sent.
     assert!(bring_up::release_brake(&mut arm, id(1)).is_err());
     assert!(!bus.sent()[..].ends_with(&[[0x77, 0, 0, 0, 0, 0, 0, 0]]));
+}
+
+/// A bus that fails once, when a brake is to open.
+struct FailsOnce(TestCan, bool);
+
+impl nb::Can for FailsOnce {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        if frame.data()[0] == 0x77 && !core::mem::replace(&mut self.1, true) {
+            return Err(::nb::Error::Other(Broken));
+        }
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        self.0.receive()
+    }
+}
+
+/// Nobody knows what a bus has carried that has failed: the motor holds, and whoever called is told.
+#[test]
+fn no_brake_is_told_to_open_again_behind_an_error_of_the_bus() {
+    let (bus, _, mut arm) = on_can(|bus, clock, config| {
+        CanMaster::<_, _, 4>::new(FailsOnce(bus, false), clock, config)
+    });
+    let told = bring_up::release_brake(&mut arm, id(1));
+    assert_eq!(told, Err(CallError::Bus(Broken).into()));
+    assert!(arm.master().is_stopped(id(1)));
+    arm.run_until(Instant::from_millis(100), |_| {}).unwrap();
+    let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte != 0x9A);
+    assert_eq!(sent.collect::<Vec<_>>(), [0x81]);
 }
 
 /// An error that comes while it opens: only the brake can hold then.
