@@ -188,6 +188,21 @@ fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
     }
 }
 
+/// Motor 9 is asked, and may take eight seconds.
+#[test]
+fn a_scan_that_the_bus_ends_waits_for_nobody_longer_than_for_a_turn() {
+    let (bus, _, mut arm) = on_can(|bus, clock, config| {
+        let reply_timeout = LONGEST_TURN.times(4);
+        CanMaster::<_, _, 4>::new(bus, clock, Config { reply_timeout, ..config })
+    });
+    let scan = bring_up::scan(&mut arm, [1, 9].map(id).into(), |_, _| {
+        bus.state().receive_fails = true;
+    });
+    assert_eq!(scan, Err(CallError::Bus(Broken)));
+    let latest = Instant::ZERO + LONGEST_TURN + Duration::from_millis(100);
+    assert!(arm.now() < latest, "{:?}", arm.now());
+}
+
 /// So that a stop of all and a guard reach them, if they turn since somebody else moved them.
 #[test]
 fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
@@ -489,8 +504,8 @@ fn without_places_for_both_ids_nothing_is_written() {
     assert!(bus.sent().iter().all(|data| matches!(data[0], 0x9A | 0xB1)));
 }
 
-/// A bus on which this motor hands function 5 back.
-struct Acknowledges(TestCan, MotorId);
+/// A bus on which this motor hands function 5 back, so often.
+struct Acknowledges(TestCan, MotorId, usize);
 
 impl nb::Can for Acknowledges {
     type Frame = SimpleFrame;
@@ -498,7 +513,9 @@ impl nb::Can for Acknowledges {
 
     fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
         if let Received::Packet(Packet { data: data @ [0x20, ..], .. }) = can::decode(frame) {
-            self.0.hear(&Packet { channel: Channel::Reply(self.1), data });
+            for _ in 0..self.2 {
+                self.0.hear(&Packet { channel: Channel::Reply(self.1), data });
+            }
         }
         self.0.transmit(frame)
     }
@@ -510,15 +527,57 @@ impl nb::Can for Acknowledges {
 
 #[test]
 fn an_id_is_acknowledged_under_the_old_one_or_the_new_one() {
-    for (motor, is_taken) in [(1, true), (5, true), (2, false)] {
+    // What comes twice is as good as what comes once.
+    for (motor, times, is_taken) in [(1, 1, true), (1, 2, true), (5, 1, true), (2, 1, false)] {
         let (bus, _, mut arm) = on_can(|bus, clock, config| {
-            CanMaster::<_, _, 4>::new(Acknowledges(bus, id(motor)), clock, config)
+            CanMaster::<_, _, 4>::new(Acknowledges(bus, id(motor), times), clock, config)
         });
         let changed = bring_up::change_id(&mut arm, id(1), id(5));
         // It is restarted, after which nobody is there with the new one.
         assert!(changed.is_err());
         assert_eq!(is_sent(&bus, Reset.encode()), is_taken, "by motor {motor}: {changed:?}");
     }
+}
+
+/// A bus on which motor 1 becomes motor 5 by function 5, at once and without a word.
+struct Renames(TestCan, bool);
+
+impl nb::Can for Renames {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        let Received::Packet(mut packet) = can::decode(frame) else { panic!("{frame:?}") };
+        if packet.data[0] == 0x20 {
+            self.1 = true;
+            return Ok(None);
+        }
+        let to = |motor| Channel::Command(id(motor).into());
+        packet.channel = match packet.channel {
+            channel if self.1 && channel == to(1) => to(9),
+            channel if self.1 && channel == to(5) => to(1),
+            channel => channel,
+        };
+        self.0.transmit(&SimpleFrame::from_packet(&packet))
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        let frame = self.0.receive()?;
+        let Received::Packet(mut packet) = can::decode(&frame) else { return Ok(frame) };
+        if self.1 && packet.channel == Channel::Reply(id(1)) {
+            packet.channel = Channel::Reply(id(5));
+        }
+        Ok(SimpleFrame::from_packet(&packet))
+    }
+}
+
+/// It is not alone on the bus, so that nothing else could give it its id.
+#[test]
+fn who_answers_under_its_new_id_has_taken_it_without_a_word() {
+    let (bus, _, mut arm) =
+        on_can(|bus, clock, config| CanMaster::<_, _, 4>::new(Renames(bus, false), clock, config));
+    assert_eq!(bring_up::change_id(&mut arm, id(1), id(5)), Ok(()));
+    assert!(!is_sent(&bus, Reset.encode()), "it answers without that");
 }
 
 #[test]
