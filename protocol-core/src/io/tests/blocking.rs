@@ -423,6 +423,31 @@ fn a_loop_idles_until_it_is_told_or_something_is_due() {
     idles(&mut of_line, &clock, far);
 }
 
+/// A clock that sleeps for as long as it may.
+struct Sleeps(TestClock);
+
+impl Clock for Sleeps {
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn idle(&self, until: Instant) {
+        self.0.advance((until - self.now()).as_micros());
+    }
+}
+
+#[test]
+fn a_call_that_waits_looks_at_the_bus_every_10_ms_and_ends_in_time() {
+    let (bus, clock, mut arm) =
+        on_can(|bus, clock, config| CanMaster::<_, _, 4>::new(bus, Sleeps(clock), config));
+    let data = [0x9A, 50, 30, 1, 0xE5, 0x01, 2, 0];
+    bus.hear_at(301_000, &Packet { channel: Channel::Reply(id(1)), data });
+    let mut heard = Vec::new();
+    arm.run_until(Instant::from_millis(995), |_| heard.push(clock.micros())).unwrap();
+    assert!(matches!(heard[..], [301_000..=311_000]), "{heard:?}");
+    assert_eq!(clock.micros(), 995_000);
+}
+
 fn idles(arm: &mut impl Runner<4>, clock: &Told, far: Instant) {
     arm.idle(far);
     assert_eq!(clock.0.get(), Some(far), "nothing is due");
