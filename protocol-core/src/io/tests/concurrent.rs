@@ -1,7 +1,11 @@
 //! The async loops: they do what the polling ones do, and their futures may be dropped anywhere.
 
+use core::cell::Cell;
+use core::future::Future;
 use core::pin::pin;
+use core::task::{Context, Waker};
 use std::format;
+use std::rc::Rc;
 use std::string::String;
 use std::vec::Vec;
 
@@ -12,11 +16,12 @@ use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_
 use super::{id, step, torque};
 use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset};
 use crate::io::{
-    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock, Runner,
+    AsyncCan, AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock, Runner,
     SerialMaster,
 };
 use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::time::{Duration, Instant};
+use crate::wire::can::SimpleFrame;
 
 fn can() -> (TestCan, TestClock, AsyncCanMaster<TestCan, TestClock, 4>) {
     on_can(AsyncCanMaster::new)
@@ -124,6 +129,53 @@ fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
         assert_eq!(events.len(), 2, "{most}");
         assert!(events.iter().any(|event| read.outcome(event).is_some_and(|read| read.is_ok())));
     }
+}
+
+/// A controller that takes something again wakes the task.
+#[test]
+fn what_the_controller_refuses_is_offered_again_when_anything_wakes_the_task() {
+    let (bus, clock, mut arm) = can();
+    bus.state().full_until = u64::MAX;
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    let mut next = pin!(arm.next_event());
+    let mut context = Context::from_waker(Waker::noop());
+    for _ in 0..4 {
+        assert!(next.as_mut().poll(&mut context).is_pending());
+    }
+    bus.state().full_until = 0;
+    for _ in 0..2 {
+        assert!(next.as_mut().poll(&mut context).is_pending());
+    }
+    assert_eq!(bus.sent().len(), 1, "at {} us", clock.micros());
+    assert!(clock.micros() < 1_000);
+}
+
+/// A controller that counts how often it is asked for a frame.
+struct Counts(TestCan, Rc<Cell<usize>>);
+
+impl AsyncCan for Counts {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
+        AsyncCan::transmit(&mut self.0, frame).await
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
+        self.1.set(self.1.get() + 1);
+        AsyncCan::receive(&mut self.0).await
+    }
+}
+
+/// What else runs in its task wakes that all the time.
+#[test]
+fn a_loop_that_waits_for_a_frame_goes_no_round_whenever_its_task_is_woken() {
+    let calls = Rc::new(Cell::new(0));
+    let (_, _, mut arm) = on_can(|bus, clock, config| {
+        AsyncCanMaster::<_, _, 4>::new(Counts(bus, calls.clone()), clock, config)
+    });
+    assert!(polls(arm.next_event(), 100).is_none());
+    assert_eq!(calls.get(), 2, "in the first round, and for as long as it waits");
 }
 
 #[test]
