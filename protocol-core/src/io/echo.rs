@@ -105,8 +105,8 @@ impl EchoFilter {
         let shows = shows_echo(&frame);
         match frame.address {
             Target::Motor(motor) if shows => self.asked.insert(motor),
-            Target::Motor(motor) if can_be_a_reply(&frame) => self.asked.remove(motor),
-            Target::Motor(_) | Target::All => {}
+            Target::Motor(motor) => self.asked.remove(motor),
+            Target::All => {}
         }
         // Each makes way for the next one, up to a free place. Without one the oldest is forgotten.
         let mut newer = Some(Sent { frame, at: now, shows });
