@@ -268,6 +268,7 @@ impl Receiver {
         self.length = place + 1;
         self.crc = crc_over(self.crc, byte);
         match place {
+            // Most bytes of a frame: nothing more is looked at.
             3..LAST_PLACE => return Ok(false),
             0 if byte != HEADER => return Err(Fault::Header),
             1 => self.address = address(byte).ok_or(Fault::Address)?,
