@@ -9,6 +9,9 @@ use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
+/// So many rounds a motor may get ahead of one that may be waiting for its turn to answer.
+pub(super) const LONGEST_LEAD: u32 = 2;
+
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Earliest(pub(super) Option<Instant>);
@@ -137,11 +140,9 @@ impl<const N: usize> Master<N> {
             }
         }
         let (round, offer) = first?;
-        // One round ahead of a motor that may be waiting for its turn is enough; and none where this could push its frame
-        // out.
-        let next = round.wrapping_add(self.pushes_out_for(now).is_some().into());
+        let behind = round.wrapping_add(1).wrapping_sub(self.lead(now));
         let mut all = self.at(self.places.in_flight);
-        (!all.any(|(_, motor)| motor.is_waited_for(next))).then_some(offer)
+        (!all.any(|(_, motor)| motor.is_waited_for(behind))).then_some(offer)
     }
 
     /// What may go of this motor: where both may, its set-point and its request in turn.
@@ -257,10 +258,23 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// How long yet more than one frame may lie in mailboxes and be pushed out of them.
-    fn pushes_out_for(&self, now: Instant) -> Option<Duration> {
-        let time = (self.mailboxes_until? - now) - self.config.frame_time;
-        Some(time).filter(|time| *time > Duration::ZERO)
+    /// How many rounds a motor may get ahead now of one that may be waiting for its turn: one fewer for each frame
+    /// beyond the first that may lie in mailboxes, where it would be pushed out.
+    #[inline]
+    fn lead(&self, now: Instant) -> u32 {
+        let frame_time = self.config.frame_time;
+        match self.mailboxes_until.map_or(Duration::ZERO, |until| until - now) {
+            lie if lie <= frame_time => LONGEST_LEAD,
+            lie if lie <= frame_time + frame_time => LONGEST_LEAD - 1,
+            _ => 0,
+        }
+    }
+
+    /// When the next of those frames has left its mailbox.
+    fn lead_grows_at(&self) -> Option<Instant> {
+        let lie = self.mailboxes_until? - self.now;
+        let times = [2, 1].map(|frames| lie - self.config.frame_time.times(frames));
+        times.into_iter().find(|time| *time > Duration::ZERO).map(|time| self.now + time)
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
@@ -311,7 +325,7 @@ impl<const N: usize> Master<N> {
             };
             earliest.take(offered_at);
         } else if !self.places.waiting.without(self.places.in_flight).is_empty() {
-            earliest.take(self.pushes_out_for(self.now).map(|time| self.now + time));
+            earliest.take(self.lead_grows_at());
         }
         earliest.take(self.broadcast.deadline(&self.config));
         let mut stops = self.at(self.places.stops);

@@ -20,6 +20,7 @@ use crate::master::health::{Health, Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Proof, Purpose, Request};
+use crate::master::schedule::LONGEST_LEAD;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
@@ -198,12 +199,12 @@ impl Motor {
         is_before(self.round, round)
     }
 
-    /// Puts it forward after a rest, or a silence, so that it is one round behind the others at the most: what it
-    /// did not ask for then, or did not answer, it has no claim to now. Who waits for its turn, since frames of it were
+    /// Puts it forward after a rest, or a silence, so that it is as far behind the others as they may get ahead of it: what
+    /// it did not ask for then, or did not answer, it has no claim to now. Who waits for its turn, since frames of it were
     /// handed back for example, keeps a claim, but to a few only: it may be itself what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
-        let claim = if waits && !self.is_silent() { LONGEST_CLAIM } else { 1 };
+        let claim = if waits && !self.is_silent() { LONGEST_CLAIM } else { LONGEST_LEAD };
         let earliest = pace.wrapping_sub(claim);
         if self.is_behind(earliest) {
             self.round = earliest;

@@ -392,31 +392,42 @@ fn a_stop_and_a_command_to_all_of_every_cycle_have_their_turns_on_a_full_bus() {
     }
 }
 
-/// It would push out what is to be a round ahead of nobody; who is as far as the others goes with them.
+/// It would be pushed out, or push something out that all wait for then.
 #[test]
-fn nobody_gets_a_round_ahead_while_its_frame_could_push_out_another() {
-    let [queued_to, hardly_queued] = [10_300, 10_544].map(Instant::from_micros);
+fn a_motor_gets_a_round_less_ahead_for_each_frame_that_could_be_pushed_out() {
+    let at = Instant::from_micros;
+    let answer = |master: &mut Master<8>, motor, now| {
+        feedback_of_all(master, motor..=motor, at(now));
+        stream_to(master, motor..=motor, at(now));
+        (sent(master, at(now)).len(), master.poll_at())
+    };
     for pushes_out in [false, true] {
         let mut master = Master::<8>::new(Config::CAN);
-        stream_to(&mut master, 1..=5, ms(0));
-        let last = sent(&mut master, ms(0))[4];
+        stream_to(&mut master, 1..=8, ms(0));
+        let last = sent(&mut master, ms(0))[7];
         if pushes_out {
             master.handle_pushed_out(&last);
             assert_eq!(sent(&mut master, ms(0)), [last]);
         }
-        feedback_of_all(&mut master, 1..=5, ms(1));
-        stream_to(&mut master, 1..=5, ms(10));
-        assert_eq!(sent(&mut master, ms(10)).len(), 5, "frames of 136 us");
-        feedback_of_all(&mut master, 1..=1, queued_to);
-        stream_to(&mut master, 1..=1, queued_to);
-        assert_eq!(sent(&mut master, queued_to).len(), usize::from(!pushes_out));
-        if pushes_out {
-            // One may be left then.
-            assert_eq!(master.poll_at(), Some(hardly_queued));
-            master.stop(id(3), StopKind::Off).unwrap();
-            assert_eq!(sent(&mut master, queued_to), [packet_to(3, Shutdown.encode())]);
-            let now = hardly_queued + Config::CAN.frame_time;
-            assert_eq!(sent(&mut master, now).len(), 1);
+        feedback_of_all(&mut master, 1..=8, ms(2));
+        stream_to(&mut master, 1..=8, ms(10));
+        assert_eq!(sent(&mut master, ms(10)).len(), 8, "frames of 136 us, until 11.088 ms");
+        if !pushes_out {
+            assert_eq!([10_300, 10_900].map(|now| answer(&mut master, 1, now).0), [1, 1]);
+            continue;
         }
+        // Three may lie there: none gets ahead.
+        assert_eq!(answer(&mut master, 1, 10_300), (0, Some(at(10_816))));
+        assert_eq!(sent(&mut master, at(10_815)), []);
+        assert_eq!(sent(&mut master, at(10_816)).len(), 1, "until 11.224 ms");
+        assert_eq!(answer(&mut master, 2, 10_820), (0, Some(at(10_952))));
+        assert_eq!(sent(&mut master, at(10_952)).len(), 1, "until 11.360 ms");
+        // Two: one round.
+        assert_eq!(answer(&mut master, 1, 11_100), (0, Some(at(11_224))));
+        // A stop waits for none of that.
+        master.stop(id(3), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, at(11_100)), [packet_to(3, Shutdown.encode())]);
+        assert_eq!(sent(&mut master, at(11_359)), []);
+        assert_eq!(sent(&mut master, at(11_360)).len(), 1);
     }
 }

@@ -588,8 +588,9 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
     // It is heard again, so that its stop is to go once more.
     assert!(reply(&mut master, 1, ANGLE_REPLY, ms(now + 30)).is_some());
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
-    let stops = [packet_to(2, Shutdown.encode()), packet_to(1, Shutdown.encode())];
-    assert_eq!(sent(&mut master, ms(now + 30)), stops);
+    assert_eq!(sent(&mut master, ms(now + 30)), [packet_to(2, Shutdown.encode())]);
+    assert!(reply(&mut master, 2, Shutdown.encode(), ms(now + 31)).is_some());
+    assert_eq!(sent(&mut master, ms(now + 31)), [packet_to(1, Shutdown.encode())]);
 }
 
 /// A hold that nobody has confirmed goes again as what all were told since. It does not stay so by that.
