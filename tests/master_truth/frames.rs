@@ -254,8 +254,8 @@ impl Truth {
         let was_ended = sending.put < ended && page.ended_heard >= ended;
         let is_behind = was_ended && !page.is_stopping && !reorders;
         // By priority a move of all, or one in motion mode, comes out of its mailbox behind what one was told: that goes
-        // once more, and is told as answered behind the move.
-        let is_less_urgent = is_can && (!is_own || name.byte == 0);
+        // once more, and is told as answered behind the move. What another station has made up lay in no mailbox.
+        let is_less_urgent = is_can && (!is_own || name.byte == 0) && !sending.was_never_put();
         let goes_again = is_less_urgent && page.ends == Some(ended);
         if is_behind && goes_again {
             page.moved_behind = moment;

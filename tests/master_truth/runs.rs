@@ -171,6 +171,8 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(9_101_525);
     // An answer that comes twice is taken for that to a command which is handed back then.
     as_drawn::<CanBus>(9_400_910);
+    // Another station makes up a move in motion mode, behind a request that ends motion: no mailbox has held it back.
+    as_drawn::<CanBus>(9_404_136);
     // Deliberate faults that nothing else notices: an answer that is owed confirms a stop; what ends the motion of all
     // goes no more when it is handed back; what was answered and is handed back counts as answered.
     as_drawn::<CanBus>(2_706);
