@@ -326,9 +326,13 @@ impl Truth {
         {
             // A collision may also leave the token as it was.
             page.excuses.note(question, Excuse::MadeUp, now, window);
-        } else if let Some(sending) = page.sendings.get_mut(&name)
-            && !name.is_stop()
-        {
+        } else if name.is_stop() {
+            // All are of one name: it answers the last, or one before.
+            let last = page.sendings.get(&name).map(|sending| sending.last_taken);
+            if last.is_some_and(|at| now - at > window) {
+                page.excuses.note(question, Excuse::HeldBack, now, window);
+            }
+        } else if let Some(sending) = page.sendings.get_mut(&name) {
             sending.delivered += 1;
             let took = now - sending.last_taken;
             let is_in_time = TOO_SOON <= took && took < longest;
