@@ -187,6 +187,12 @@ impl Truth {
             } else if name.is_set_point() && page.newest_set_point == name.token {
                 // It may go again.
                 page.newest_set_point -= 1;
+            } else if is_own && name.is_ending() {
+                // A request that is over may have told it for all that the master knows: its frame can be a stop's.
+                let put = page.sendings.get(&name).map(|sending| sending.put);
+                let is_over = page.ends != put
+                    || put < Some(page.stop_called.max(page.may_be_stopping_since));
+                page.may_be_untold |= is_over;
             }
             if name.is_set_point() {
                 page.set_points.handed_back(name.token, now);
