@@ -55,6 +55,11 @@ impl Doubt {
         matches!(self, Self::Open { left: 1.., .. })
     }
 
+    /// Whether a read that comes back as it was sent passes for an echo: always where no answer to it is the same bytes.
+    pub(super) fn takes_read_for_echo(self, byte: u8) -> bool {
+        self.is_open() || self != Self::Never && NEVER_LIKE_THEIR_REPLY.contains(&byte)
+    }
+
     /// Noise has taken the echoes of so many reads in a row that an adapter which echoes seems not to.
     pub(super) fn is_misled(self) -> bool {
         matches!(self, Self::Open { come: Come { without: ANSWERS.., .. }, .. })

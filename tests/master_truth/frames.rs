@@ -289,6 +289,7 @@ impl Truth {
         let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
         let may_pass_for_echo = self.doubt.is_open() && !has_values(name.byte);
+        let takes_read_for_echo = self.doubt.takes_read_for_echo(name.byte);
         self.doubt.delivered(motor, packet, self.world);
         let is_misled = self.echoes && self.doubt.is_misled();
         let is_no_echo = packet.data[3] == DONE || name.byte == 0xB1 && copies == 1;
@@ -305,8 +306,10 @@ impl Truth {
             page.ignores_next = true;
             page.lost_master_delivered += 1;
         }
-        // What an adapter hands back is nothing that was heard.
-        if copies == 1 && !may_pass_for_echo || packet.data[3] == DONE || is_lost_master {
+        // What an adapter hands back is nothing that was heard, nor what a drive does that seems to be that.
+        let is_read_back = takes_read_for_echo && !is_no_echo && page.sendings.contains_key(&name);
+        let may_be_echo = copies > 1 || may_pass_for_echo || is_read_back;
+        if !may_be_echo || packet.data[3] == DONE || is_lost_master {
             // Nor does anybody know when that was before, if all that came then may have been such.
             let unknown = MAY_HAVE_RESTARTED.times(copies - 1);
             let silence = page.delivered_at.map_or(unknown, |before| now - before);

@@ -185,6 +185,9 @@ fn what_broke_later() {
     as_drawn::<Rs485Line>(9_410_924);
     // A request to hold that a stop went over is handed back: to the master it may be what had told its motor to stop.
     as_drawn::<CanBus>(9_411_783);
+    // A drive that has lost its master hands back the first read in a second: that is taken for an echo, and the motor
+    // is heard with its answer.
+    as_drawn::<Rs485Line>(9_420_244);
     // Deliberate faults that nothing else notices: an answer that is owed confirms a stop; what ends the motion of all
     // goes no more when it is handed back; what was answered and is handed back counts as answered.
     as_drawn::<CanBus>(2_706);
