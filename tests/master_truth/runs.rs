@@ -188,6 +188,8 @@ fn what_broke_later() {
     // A drive that has lost its master hands back the first read in a second: that is taken for an echo, and the motor
     // is heard with its answer.
     as_drawn::<Rs485Line>(9_420_244);
+    // A stop to all waits for its line, is lifted, and all are stopped again: it was sent to nobody yet, and goes.
+    as_drawn::<Rs485Line>(9_412_258);
     // Deliberate faults that nothing else notices: an answer that is owed confirms a stop; what ends the motion of all
     // goes no more when it is handed back; what was answered and is handed back counts as answered.
     as_drawn::<CanBus>(2_706);

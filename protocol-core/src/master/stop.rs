@@ -119,8 +119,9 @@ impl<const N: usize> Master<N> {
         }
         let goes =
             self.is_same_for_all(kind) && self.is_stop_to_all_due(is_called_again, result.is_err());
-        // One that waits has reached nobody yet.
-        let waits = self.stop_to_all.filter(|&it| was_stopped && self.is_same_for_all(it));
+        // One that waits has reached nobody yet: it goes, or this in its place where it was lifted.
+        let waits = self.stop_to_all.map(|it| if was_stopped { it } else { kind });
+        let waits = waits.filter(|&it| self.is_same_for_all(it));
         self.stop_to_all = goes.then_some(kind).or(waits);
         result
     }

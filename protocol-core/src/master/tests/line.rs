@@ -501,6 +501,28 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
     }
 }
 
+/// The port takes nothing meanwhile, so that whoever has no place has heard nothing of it yet.
+#[test]
+fn a_stop_to_all_that_waits_goes_also_where_it_was_lifted_and_all_are_stopped_again() {
+    for (kind, data) in [(StopKind::Off, Shutdown.encode()), (StopKind::Hold, Stop.encode())] {
+        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        master.stop_all(kind, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(10)), [packet_to_all(data)]);
+        for at in [17, 19] {
+            assert_eq!(sent(&mut master, ms(at)), [packet_to(1, data)]);
+            let answer = Frame { address: Target::Motor(id(1)), data };
+            master.handle_line(&answer, ms(at + 1));
+        }
+        master.lift_stop();
+        master.set_point(id(1), torque(1.0), ms(22)).unwrap();
+        assert_eq!(sent(&mut master, ms(22)).len(), 1);
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        master.lift_stop();
+        master.stop_all(kind, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(50)), [packet_to_all(data)]);
+    }
+}
+
 /// Motor 2 is moved, or forgotten, and then nothing else tells it to stop; motor 1 is as it was.
 #[test]
 fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_last() {
