@@ -5,15 +5,15 @@
 //! not have been restarted. Those that move a motor or open its brake put a stop then.
 
 use crate::command::{
-    CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,
-    ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate, Reset, SetCurrentPositionZero,
-    Shutdown,
+    CommunicationLossProtection, LockBrake, ReadModel, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate, Reset,
+    SetCurrentPositionZero,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
-use crate::io::brake::lock_if_there;
+use crate::io::brake::{BRAKE_MOVES, SPOKEN_TO_EVERY, switch_off};
 pub use crate::io::brake::{lock_brake, release_brake};
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
@@ -31,8 +31,6 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ATTEMPTS: u8 = 2;
 /// How often a drive is told to restart that goes on running.
 const RESTARTS: u8 = 3;
-/// How often a motor is spoken to that is waited for.
-pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
 
@@ -206,8 +204,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     let zeroing = Opcode::SetCurrentPositionZero.into();
     runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
     check_stands(runner, motor).await?;
-    lock_if_there(runner, motor).await?;
-    runner.ask(motor, Shutdown).await?;
+    switch_off(runner, motor).await?;
     let stored = match runner.ask(motor, SetCurrentPositionZero).await {
         Ok(reply) => reply.offset,
         Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),
@@ -262,11 +259,16 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
     if is_there(runner, motor).await? {
-        match lock_if_there(runner, motor).await {
+        match switch_off(runner, motor).await {
             // It falls all the same; an error that keeps it from holding goes with the restart.
-            Ok(()) | Err(BringUpError::BrakeSlips { holds: false, .. }) => {}
+            Ok(()) | Err(BringUpError::BrakeSlips { holds: Some(false), .. }) => {}
             Err(error) => return Err(error),
         }
+    } else {
+        // It may hear all the same.
+        let _ = runner.ask(motor, LockBrake).await;
+        let locked = runner.now() + BRAKE_MOVES;
+        runner.run_until(locked, |_| {}).await?;
     }
     restart_what_is_off(runner, motor, then).await
 }

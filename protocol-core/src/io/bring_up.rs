@@ -120,25 +120,32 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The shaft turns, its brake open, and the motor runs nothing that could hold it: something has switched it off since
-    /// it was told to hold. Its brake is locked, or was told to be.
-    #[error("motor {0} was switched off while its brake opened: the brake is told to lock again")]
+    /// The shaft turns, its brake open, and the motor runs nothing that could hold it, or does not say (0x70): something
+    /// has switched it off since it was told to hold, or it did not obey that. Its brake is locked, or was told to be.
+    #[error(
+        "motor {0} turns though it was told to hold while its brake opened: the brake is told to lock again"
+    )]
     LetGo(MotorId),
-    /// The shaft turns behind a brake that was told to lock and has had the time to. A motor that held before is told to
-    /// hold again. Where it does not: a stop in force refuses that until it is
+    /// The shaft turns behind a brake that was told to lock and has had the time to, or behind a motor that was switched
+    /// off then: some brakes show only then that they slip, and some motors have none. A motor that may have held before
+    /// is told to hold again. Where it does not: a stop in force refuses that until it is
     /// [lifted](crate::master::Master::lift_stop_of), and whoever reports an error holds nothing;
-    /// [open the brake](release_brake), or cut in otherwise. Nothing was written, nor was it switched off.
+    /// [open the brake](release_brake), or cut in otherwise. Nothing was written.
     #[error(
         "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}{}",
-        if *holds { "; it is open again, and the motor holds: do not switch it off" } else { "" }
+        match *holds {
+            Some(true) => "; it is open again, and the motor holds: do not switch it off",
+            Some(false) => "",
+            None => "; it was told to open again, and the motor to hold, which it has not confirmed",
+        }
     )]
     BrakeSlips {
         /// The motor.
         motor: MotorId,
         /// How fast it turns.
         speed: CoarseSpeed,
-        /// Its brake is open again, and it has confirmed that it holds.
-        holds: bool,
+        /// Whether its brake is open again, and it has confirmed that it holds; `None` if it was told to, and has not.
+        holds: Option<bool>,
     },
     /// The drive does not return lock as its brake's last command: it may have none. What holds a load is to go on.
     #[error(
@@ -239,9 +246,9 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
 /// drive (0x76), and reads offset and angle back. The motor's output is switched off first. What it holds, its
-/// brake is told to hold before (0x78); where it has none, the shaft must be held by other means if a load pulls at it. A
-/// motor that turns is refused. Gives the new offset. Where several motors have this id all of them do this: see first
-/// whether it [is shared](is_shared).
+/// brake is told to hold before (0x78). A load that falls all the same, of a motor without a brake say, is held again, and
+/// refused: hold such a shaft by other means. A motor that turns is refused. Gives the new offset. Where several motors
+/// have this id all of them do this: see first whether it [is shared](is_shared).
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::Call`] if it was not told;
@@ -255,8 +262,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 
 /// Gives a motor another id: switches it off, writes the id to its ROM and restarts it. Function 5 (0x20)
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
-/// connected motors obey. What the motor holds, its brake is told to hold before (0x78); hold the shaft if a load pulls
-/// at one without. A motor that turns is refused.
+/// connected motors obey. What the motor holds, its brake is told to hold before (0x78); a load that falls all the same is
+/// held again, and refused. A motor that turns is refused.
 ///
 /// It asks all ids first, and both of these afterwards, so the master needs a place for each of them besides those of
 /// the other motors that it knows: `CanMaster<_, _, 8>` for six motors, say. Without them nothing is written.
@@ -324,7 +331,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// ```
 ///
 /// It looks at the shaft behind the brake: where that slips, what has held the load is told to hold it again, as by
-/// [`release_brake`]. Whether it holds by itself shows when the motor is off: look at it again then. A motor that turns is
+/// [`release_brake`]. Some show only when the motor is off that they slip: look at it again then. A motor that turns is
 /// refused while it runs and can be stopped; where it runs nothing, or reports an error, its brake is to catch what falls.
 ///
 /// # Errors
@@ -357,8 +364,8 @@ pub fn protect<R: Runner<N>, const N: usize>(
 
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
 /// because it answers under its old id, has not heard that, and is told again. Its output goes off: what the motor holds,
-/// its brake is told to hold before (0x78), and one that turns while it runs is refused. A stop in force refuses this,
-/// too. Whole turns are lost unless multi-turn saving
+/// its brake is told to hold before (0x78) and it is switched off, and one that turns while it runs, or falls then, is
+/// refused. A stop in force refuses this, too. Whole turns are lost unless multi-turn saving
 /// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
 /// its angle first.
 ///

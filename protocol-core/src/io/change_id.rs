@@ -7,13 +7,13 @@
 
 use crate::command::{
     AnyReply, BusId, Command, FunctionControl, ReadMultiTurnAngle, ReadRunTime, ReadStatus1,
-    ReadStatus2, ReadStatus3, Shutdown,
+    ReadStatus2, ReadStatus3,
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up::{find, is_there, may_be_written, restart_what_is_off};
 use crate::io::async_runner::AsyncRunner;
-use crate::io::brake::lock_if_there;
+use crate::io::brake::switch_off;
 use crate::io::bring_up::BringUpError;
 use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet, Patience};
@@ -58,9 +58,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     let function_control = Opcode::FunctionControl.into();
     runner.master().check(function_control, from.into()).map_err(CallError::refused(from))?;
     check_stands(runner, from).await?;
-    lock_if_there(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
-    runner.ask(from, Shutdown).await?;
+    switch_off(runner, from).await?;
     write_id(runner, from, to, there.len() == 1).await.map_err(may_be_written(from))
 }
 

@@ -10,6 +10,7 @@ mod guard;
 mod half_duplex;
 mod halted;
 mod left_halfway;
+mod loads;
 mod moves;
 mod patience;
 mod world;

@@ -1,0 +1,289 @@
+//! Loads that a motor holds when it is to be switched off: whatever its drive says or does not, and whatever is lost, it
+//! is let go only behind a brake that holds it.
+
+use std::vec::Vec;
+
+use embedded_can::nb;
+
+use super::calls::{Saying, Says, says};
+use super::id;
+use super::world::{Broken, TestCan, on_can};
+use crate::Data;
+use crate::command::BrakeCommand;
+use crate::io::bring_up::{self, BRAKE_MOVES, BringUpError};
+use crate::io::{CanMaster, Runner};
+use crate::master::{MotorSet, StopKind};
+use crate::wire::can::SimpleFrame;
+
+/// Another byte is heard in place of the answer: the question has none.
+const NO_ANSWER: u8 = 0xE0;
+const RUNS: u8 = 2;
+const LOCKED: u8 = 0;
+const OPEN: u8 = 1;
+
+/// What was told to do something, in this order.
+fn told(bus: &TestCan) -> Vec<u8> {
+    let does = |byte: &u8| [0x64, 0x76, 0x77, 0x78, 0x80, 0x81].contains(byte);
+    bus.sent().into_iter().map(|data| data[0]).filter(does).collect()
+}
+
+/// A motor that runs something and stands, its brake open until it is told to lock, unless this says something else.
+fn holding(mut or: impl FnMut(&mut Data, bool)) -> Saying<impl FnMut(&mut Data)> {
+    let mut is_locked = false;
+    says(move |data| {
+        match data[0] {
+            0x78 => is_locked = true,
+            0x77 => is_locked = false,
+            _ => {}
+        }
+        match data[0] {
+            0x70 => data[7] = RUNS,
+            0x9A => data[3] = if is_locked { LOCKED } else { OPEN },
+            _ => {}
+        }
+        or(data, is_locked);
+    })
+}
+
+/// Its brake slips, and one question behind that is lost.
+fn slips(lost: u8) -> Saying<impl FnMut(&mut Data)> {
+    let mut opens = 0;
+    holding(move |data, is_locked| {
+        opens += u32::from(data[0] == 0x77);
+        match data[0] {
+            0x9C if is_locked => data[4] = 90,
+            byte if byte == lost && opens > 0 => data[0] = NO_ANSWER,
+            _ => {}
+        }
+    })
+}
+
+#[test]
+fn nothing_restarts_that_may_hold_a_load_again_behind_a_brake_that_slips() {
+    for (lost, holds) in [(NO_ANSWER, Some(true)), (0x81, None), (0x9A, None)] {
+        let (bus, mut arm) = slips(lost);
+        let refused = bring_up::restart(&mut arm, id(1), id(1));
+        assert!(
+            matches!(refused, Err(BringUpError::BrakeSlips { holds: told, .. }) if told == holds),
+            "{lost:#x}: {refused:?}"
+        );
+        assert!(told(&bus).starts_with(&[0x78, 0x77, 0x81]) && !told(&bus).contains(&0x76));
+    }
+}
+
+/// The bus of a motor that holds behind a brake that slips, which fails once, at the end of so many frames.
+struct Fails<F>(Says<F>, u32);
+
+impl<F: FnMut(&mut Data)> nb::Can for Fails<F> {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.1 = self.1.wrapping_sub(1);
+        if self.1 == 0 { Err(::nb::Error::Other(Broken)) } else { self.0.transmit(frame) }
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        self.0.receive()
+    }
+}
+
+#[test]
+fn a_bus_that_fails_once_while_a_brake_locks_leaves_no_load() {
+    for frames in 1..80 {
+        let mut is_locked = false;
+        let slips = move |data: &mut Data| match data[0] {
+            0x78 => is_locked = true,
+            0x77 => is_locked = false,
+            0x70 => data[7] = RUNS,
+            0x9A => data[3] = if is_locked { LOCKED } else { OPEN },
+            0x9C if is_locked => data[4] = 90,
+            _ => {}
+        };
+        let (bus, _, mut arm) = on_can(|bus, clock, config| {
+            CanMaster::<_, _, 4>::new(Fails(Says(bus, slips), frames), clock, config)
+        });
+        let outcome = bring_up::lock_brake(&mut arm, id(1));
+        let later = arm.now() + BRAKE_MOVES;
+        arm.run_until(later, |_| {}).unwrap();
+        match told(&bus)[..] {
+            // It is told, and goes on holding.
+            [] => assert!(matches!(outcome, Err(BringUpError::Call(_))), "{frames}: {outcome:?}"),
+            // Or a stop has it hold.
+            [0x78, .., 0x81] => {
+                assert!(matches!(outcome, Err(BringUpError::BrakeSlips { .. })), "{frames}");
+            }
+            _ => panic!("{frames}: {outcome:?} {:x?}", told(&bus)),
+        }
+    }
+}
+
+/// In motion mode, say: its brake is open, and it stands.
+#[test]
+fn who_runs_nothing_as_it_says_may_hold_a_load_all_the_same() {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
+        0x70 => data[7] = 0,
+        0x9C if is_locked => data[4] = 90,
+        _ => {}
+    });
+    let refused = bring_up::lock_brake(&mut arm, id(1));
+    assert!(matches!(refused, Err(BringUpError::BrakeSlips { .. })), "{refused:?}");
+    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+}
+
+/// Some say of an open brake that it is locked while they obey no command.
+#[test]
+fn who_may_run_something_has_its_brake_locked_whatever_it_says_of_that() {
+    for says_what in [true, false] {
+        let (bus, mut arm) = holding(move |data, _| match data[0] {
+            0x9A => data[3] = LOCKED,
+            0x70 if !says_what => data[0] = NO_ANSWER,
+            _ => {}
+        });
+        let _zero = bring_up::zero_here(&mut arm, id(1));
+        assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64]);
+    }
+}
+
+/// One that runs nothing, and says that its brake is locked, loses no time.
+#[test]
+fn who_rests_behind_its_brake_is_switched_off_at_once() {
+    let (bus, mut arm) = holding(|data, _| match data[0] {
+        0x70 => data[7] = 0,
+        0x9A => data[3] = LOCKED,
+        _ => {}
+    });
+    let _zero = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(told(&bus)[..2], [0x80, 0x64]);
+}
+
+/// A brake whose lock has no answer may lock all the same, or the question was lost for longer than it is repeated.
+#[test]
+fn a_brake_that_does_not_answer_is_given_its_time_and_told_once_more() {
+    for (obeys, locks) in [(true, 1), (false, 2)] {
+        let (bus, mut arm) = holding(move |data, _| match data[0] {
+            0x78 => data[0] = NO_ANSWER,
+            0x9A => data[3] = if obeys { LOCKED } else { OPEN },
+            _ => {}
+        });
+        let begun = arm.now();
+        let _zero = bring_up::zero_here(&mut arm, id(1));
+        // Each time as often as any question.
+        let asked = told(&bus).iter().take_while(|byte| **byte == 0x78).count();
+        assert_eq!(asked, 3 * locks, "{:x?}", told(&bus));
+        assert_eq!(told(&bus)[asked..][..2], [0x80, 0x64]);
+        assert!(arm.now() - begun > BRAKE_MOVES.times(locks as u32));
+    }
+}
+
+/// It runs something and stands until it is off.
+fn falls_when_off() -> Saying<impl FnMut(&mut Data)> {
+    let mut is_off = false;
+    holding(move |data, _| match data[0] {
+        0x80 => is_off = true,
+        0x81 => is_off = false,
+        0x9C if is_off => data[4] = 90,
+        _ => {}
+    })
+}
+
+/// Some brakes show only then that they slip, and some drives hold behind them until then.
+#[test]
+fn what_falls_when_its_motor_is_off_is_held_again_before_anything_is_written() {
+    fn is_held<E>(told: Result<(), BringUpError<E>>) -> bool {
+        matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. }))
+    }
+    let (zeroed, mut arm) = falls_when_off();
+    assert!(is_held(bring_up::zero_here(&mut arm, id(1)).map(drop)));
+    let (restarted, mut arm) = falls_when_off();
+    assert!(is_held(bring_up::restart(&mut arm, id(1), id(1))));
+    let (renamed, mut arm) = falls_when_off();
+    assert!(is_held(bring_up::change_id(&mut arm, id(1), id(4))));
+    for bus in [zeroed, restarted, renamed] {
+        assert_eq!(told(&bus), [0x78, 0x80, 0x77, 0x81]);
+    }
+}
+
+/// Something opens its brake again and switches it off: it does not turn yet when it is looked at.
+#[test]
+fn who_is_let_go_while_its_brake_locks_is_told_to_hold_again() {
+    for (mode, holds_again) in [(RUNS, false), (0, true)] {
+        let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+            0x70 if is_locked => data[7] = mode,
+            0x9A => data[3] = OPEN,
+            _ => {}
+        });
+        let (motor, says) = (id(1), BrakeCommand::RELEASE);
+        let refused = bring_up::lock_brake(&mut arm, motor);
+        assert_eq!(refused, Err(BringUpError::BrakeNotLocked { motor, says }));
+        assert_eq!(told(&bus)[1..], [0x77, 0x81][..if holds_again { 2 } else { 0 }]);
+    }
+}
+
+/// Its questions are lost, or it is: it may hear that it is to restart all the same.
+#[test]
+fn who_does_not_answer_has_its_brake_locked_before_it_restarts() {
+    let mut lost = 2;
+    let (bus, mut arm) = holding(move |data, _| {
+        if data[0] == 0x9A && lost > 0 {
+            lost -= 1;
+            data[0] = NO_ANSWER;
+        }
+    });
+    let begun = arm.now();
+    let _restart = bring_up::restart(&mut arm, id(1), id(1));
+    assert_eq!(told(&bus)[..2], [0x78, 0x76]);
+    assert!(arm.now() - begun > BRAKE_MOVES);
+}
+
+/// It fell before: nobody has it hold what it did not hold.
+#[test]
+fn a_brake_that_slips_under_what_nobody_held_is_not_opened_again() {
+    let (bus, mut arm) = holding(|data, _| match data[0] {
+        0x70 => data[7] = 0,
+        0x9A => data[3] = LOCKED,
+        0x9C => data[4] = 90,
+        _ => {}
+    });
+    let slips = bring_up::lock_brake(&mut arm, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(false), .. })), "{slips:?}");
+    assert_eq!(told(&bus), [0x78]);
+    // A restart makes that no worse.
+    let _restart = bring_up::restart(&mut arm, id(1), id(1));
+    assert_eq!(told(&bus)[1..3], [0x80, 0x76]);
+}
+
+/// It is to hold when its brake opens, turns, and does not say what it runs: nothing says that it obeys.
+#[test]
+fn who_turns_behind_an_open_brake_and_does_not_say_what_it_runs_is_let_go() {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
+        0x70 => data[0] = NO_ANSWER,
+        0x9C if !is_locked => data[4] = 90,
+        _ => {}
+    });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Err(BringUpError::LetGo(id(1))));
+    assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
+}
+
+/// What was not acknowledged may not be obeyed: a stop goes on telling it to hold.
+#[test]
+fn who_does_not_acknowledge_that_it_is_to_hold_behind_its_brake_is_stopped() {
+    let (_, mut arm) = holding(|data, _| {
+        if data[0] == 0x81 {
+            data[0] = NO_ANSWER;
+        }
+    });
+    assert!(bring_up::release_brake(&mut arm, id(1)).is_err());
+    assert!(arm.master().is_stopped(id(1)));
+}
+
+/// It is not switched off for what is refused then.
+#[test]
+fn who_is_stopped_is_refused_before_its_brake_is_locked() {
+    let (bus, mut arm) = holding(|_, _| {});
+    assert_eq!(arm.stop_all(StopKind::Hold, id(1).into()), MotorSet::EMPTY);
+    let before = told(&bus).len();
+    assert!(bring_up::restart(&mut arm, id(1), id(1)).is_err());
+    assert!(bring_up::zero_here(&mut arm, id(1)).is_err());
+    assert_eq!(told(&bus).len(), before);
+}
