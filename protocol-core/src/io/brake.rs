@@ -47,7 +47,7 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
         return Err(fails(before));
     }
     open_and_hold(bus, motor).await?;
-    let status = opened(bus, motor).await?;
+    let status = moved(bus, motor, has_errors).await?;
     if has_errors(&status) {
         // Only the brake can hold the shaft now. What comes of that changes nothing.
         let _ = bus.ask(motor, LockBrake).await;
@@ -96,16 +96,18 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Gives a brake the time to open, unless the drive reports an error before; how it is then.
-async fn opened<B: Calls<N>, const N: usize>(
+/// Gives a brake the time to open or to lock, unless it is over before; how its drive is then.
+async fn moved<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
+    is_over: impl Fn(&Status1) -> bool,
 ) -> Result<Status1, CallError<B::Error>> {
     let end = bus.now() + BRAKE_MOVES;
     loop {
+        // Without a word its communication-loss protection would lock it, and switch its motor off.
         let status = look(bus, motor, ReadStatus1).await?;
         let now = bus.now();
-        if now >= end || !status.errors.is_empty() {
+        if now >= end || is_over(&status) {
             return Ok(status);
         }
         let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
@@ -180,7 +182,7 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
             return Err(refused.into());
         }
         // It may have heard that all the same.
-        let says = locked(bus, motor).await?;
+        let says = moved(bus, motor, |_| false).await?.brake;
         holds_without_motor(bus, motor, Duration::ZERO, held).await?;
         if says == BrakeCommand::LOCK {
             return Ok(());
@@ -193,28 +195,11 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
             break;
         }
     }
-    if held && runs(bus, motor).await != Some(true) {
-        // It does not turn yet.
+    if held && runs(bus, motor).await == Some(false) {
+        // Something has opened it again and let the motor go, and it does not turn yet.
         hold_again(bus, motor).await;
     }
     outcome
-}
-
-/// Gives a brake the time to lock; what its drive says then.
-async fn locked<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<BrakeCommand, CallError<B::Error>> {
-    let end = bus.now() + BRAKE_MOVES;
-    loop {
-        // Without a word its communication-loss protection would have come.
-        let says = look(bus, motor, ReadStatus1).await?.brake;
-        let now = bus.now();
-        if now >= end {
-            return Ok(says);
-        }
-        let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
-    }
 }
 
 /// Whether the shaft stands for so long behind a motor that does not hold it any more. What has held it until then is to

@@ -287,3 +287,16 @@ fn who_is_stopped_is_refused_before_its_brake_is_locked() {
     assert!(bring_up::zero_here(&mut arm, id(1)).is_err());
     assert_eq!(told(&bus).len(), before);
 }
+
+/// It has no brake, and knows none of these commands.
+#[test]
+fn no_stop_is_left_in_force_where_nothing_of_a_brake_is_answered() {
+    let (bus, mut arm) = holding(|data, _| {
+        if [0x70, 0x77, 0x78].contains(&data[0]) {
+            data[0] = NO_ANSWER;
+        }
+    });
+    let _zero = bring_up::zero_here(&mut arm, id(1));
+    assert!(!arm.master().is_stopped(id(1)));
+    assert!(told(&bus).contains(&0x64) && !told(&bus).contains(&0x77));
+}
