@@ -2,7 +2,7 @@
 
 use std::io;
 use std::ops::RangeInclusive;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
 
 use signal_hook::consts::{
@@ -24,6 +24,8 @@ const SIGNALS: [i32; 19] = [
 /// They would, too. The C library keeps the first few to itself, and refuses them.
 const REAL_TIME: RangeInclusive<i32> = 32..=64;
 
+/// The last of them that has come; 0 for none.
+static LAST: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 static AGAIN: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
@@ -49,6 +51,9 @@ pub(super) fn watch() -> io::Result<()> {
 }
 
 fn set_flags_at(signal: i32) -> io::Result<()> {
+    // Before the flags, by which others know that there is one.
+    let number = usize::try_from(signal).unwrap_or_default();
+    signal_hook::flag::register_usize(signal, Arc::clone(&LAST), number)?;
     signal_hook::flag::register(signal, flag())?;
     signal_hook::flag::register(signal, again())?;
     Ok(())
@@ -56,6 +61,18 @@ fn set_flags_at(signal: i32) -> io::Result<()> {
 
 pub(super) fn has_come() -> bool {
     CAME.load(Ordering::Relaxed)
+}
+
+/// Ends the program by the signal that has come while they were watched for, if one has. A shell ends its loop only for a
+/// program that Ctrl-C has ended: one that exits, with whatever status, has dealt with it, and the next motor would
+/// move. So the other keys count as Ctrl-C: it goes on behind a program that Ctrl-\ has ended, and one that Ctrl-Z has
+/// halted would keep the bus.
+/// Gives the exit status that a shell would report for one that cannot end a program so.
+pub(super) fn end_by_it() -> Option<u8> {
+    let signal = i32::try_from(LAST.load(Ordering::SeqCst)).ok().filter(|signal| *signal != 0)?;
+    let ends = if matches!(signal, SIGQUIT | SIGTSTP | SIGTTOU) { SIGINT } else { signal };
+    let _ = signal_hook::low_level::emulate_default_handler(ends);
+    u8::try_from(ends).ok().and_then(|number| number.checked_add(128))
 }
 
 #[cfg(test)]

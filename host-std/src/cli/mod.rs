@@ -64,10 +64,11 @@ pub(crate) fn run() -> ExitCode {
         Subcommand::SimControl(arguments) => sim_control::run(arguments),
         Subcommand::Motors(subcommand) => motors::run(subcommand),
     };
-    ExitCode::from(match catch_unwind(AssertUnwindSafe(work)) {
+    let status = match catch_unwind(AssertUnwindSafe(work)) {
         Ok(outcome) => outcome::end(outcome),
         Err(_told) => outcome::end_of_panic(),
-    })
+    };
+    ExitCode::from(interrupt::end_by_it().unwrap_or(status))
 }
 
 /// Prints help where it was asked for, else one sentence about what is wrong. Gives the exit status.

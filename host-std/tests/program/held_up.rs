@@ -2,7 +2,8 @@
 
 use std::io::{self, Read as _, Write as _};
 use std::os::fd::AsFd as _;
-use std::process::{Child, Command, Output, Stdio};
+use std::os::unix::process::ExitStatusExt as _;
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -66,27 +67,33 @@ fn comes(mut is_so: impl FnMut() -> bool) -> bool {
     true
 }
 
-/// The code with which it ends, if it does so soon.
-fn ends_soon(process: &mut Child) -> Option<i32> {
-    if comes(|| process.try_wait().unwrap().is_some()) {
-        return process.wait().unwrap().code();
+/// How it ends: it must do so soon.
+fn ends_soon(process: &mut Child) -> ExitStatus {
+    let is_over = comes(|| process.try_wait().unwrap().is_some());
+    if !is_over {
+        process.kill().unwrap();
     }
-    process.kill().unwrap();
-    process.wait().unwrap();
-    None
+    let ended = process.wait().unwrap();
+    assert!(is_over, "it goes on");
+    ended
 }
 
 /// The same, with what it says of errors, which is no more than a pipe holds.
-fn ends_saying(process: &mut Child) -> (Option<i32>, String) {
-    let code = ends_soon(process);
+fn ends_saying(process: &mut Child) -> (ExitStatus, String) {
+    let ended = ends_soon(process);
     let mut told = String::new();
     process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
-    (code, told)
+    (ended, told)
+}
+
+/// Whether that ended it, so that a shell ends its loop, too.
+fn died_of(signal: Signal, ended: ExitStatus) -> bool {
+    ended.signal() == Some(signal.as_raw())
 }
 
 /// Of a motor that did not answer, and of others: what is said of it nobody can read here.
-fn has_failed(code: &Option<i32>) -> bool {
-    *code == Some(1)
+fn has_failed(ended: &ExitStatus) -> bool {
+    ended.code() == Some(1)
 }
 
 /// How its one bus is, and the motor on it, by the simulation's own account: that takes nothing of the bus.
@@ -126,8 +133,8 @@ fn a_full_pipe_lets_the_motor_stop_in_time() {
         signal(&mut process, Signal::TERM);
         ends_saying(&mut process)
     };
-    let (code, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert_eq!(code, Some(130), "{told}");
+    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
+    assert!(died_of(Signal::TERM, ended), "{ended}: {told}");
     // Whether a second is one is seen in virtual time; on a busy machine it takes longer.
     let angle = angle(socket);
     assert!((0.5 * DPS..3.0 * DPS).contains(&angle) && stands(socket), "{angle} deg");
@@ -150,8 +157,8 @@ fn a_motor_that_was_sent_off_stops_when_it_is_told_to_end_before_the_reply_is_pr
         signal(&mut process, Signal::INT);
         ends_saying(&mut process)
     };
-    let (code, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert_eq!(code, Some(130), "{told}");
+    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
+    assert!(died_of(Signal::INT, ended), "{ended}: {told}");
     assert!(stands(socket));
 }
 
@@ -166,8 +173,8 @@ fn a_reader_that_was_killed_stops_the_motor() {
         drop(process.stdout.take());
         ends_saying(&mut process)
     };
-    let (code, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert_eq!(code, Some(1), "{told}");
+    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
+    assert_eq!(ended.code(), Some(1), "{told}");
     assert!(stands(socket));
 }
 
@@ -193,7 +200,17 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
     let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("slcan");
-    for kind in [Signal::TERM, Signal::QUIT, Signal::TSTP, Signal::TTOU, Signal::HUP] {
+    let (int, none) = (Signal::INT, None);
+    for (kind, dies_of, code) in [
+        (Signal::TERM, Some(Signal::TERM), none),
+        (Signal::HUP, Some(Signal::HUP), none),
+        // The other keys end a shell's loop, too. It is not halted while it keeps the bus.
+        (Signal::QUIT, Some(int), none),
+        (Signal::TSTP, Some(int), none),
+        (Signal::TTOU, Some(int), none),
+        // One that may be ignored elsewhere.
+        (Signal::IO, None, Some(128 + 29)),
+    ] {
         let attempt = || {
             let (out, err) = (full_pipe(), full_pipe());
             let mut process = speed(bus, "60").stdout(out.1).stderr(err.1).spawn().unwrap();
@@ -201,7 +218,9 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
             signal(&mut process, kind);
             ends_soon(&mut process)
         };
-        assert_eq!(unless_late(attempt, has_failed), Some(130), "{kind:?}");
+        let ended = unless_late(attempt, has_failed);
+        let expected = (dies_of.map(Signal::as_raw), code);
+        assert_eq!((ended.signal(), ended.code()), expected, "{kind:?}");
         assert!(stands(socket), "{kind:?}");
     }
 }
@@ -226,11 +245,11 @@ fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
         comes(|| angle(socket) > 900.0 || process.try_wait().unwrap().is_some());
         signal(&mut process, Signal::INT);
         let ended = process.wait_with_output().unwrap();
-        (text(&ended.stderr).to_owned(), ended.status.code())
+        (text(&ended.stderr).to_owned(), ended.status)
     };
-    let ended = unless_late(attempt, |(told, _)| tells_of_silence(told));
-    let told = "error: interrupted; motor 1 is stopped and holds still (0x81)\n";
-    assert_eq!((&*ended.0, ended.1), (told, Some(130)));
+    let (told, ended) = unless_late(attempt, |(told, _)| tells_of_silence(told));
+    assert_eq!(told, "error: interrupted; motor 1 is stopped and holds still (0x81)\n");
+    assert!(died_of(Signal::INT, ended), "{ended}");
     assert!(stands(socket));
 }
 
