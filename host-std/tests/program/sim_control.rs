@@ -17,11 +17,20 @@ pub(crate) fn controlled(motors: u8) -> (TempDir, PathBuf, Simulation) {
 
 /// The same on this kind of bus.
 pub(crate) fn controlled_on(kind: &str, motors: u8) -> (TempDir, PathBuf, Simulation) {
+    controlled_with(kind, motors, &[])
+}
+
+/// The same with these options, too.
+pub(crate) fn controlled_with(
+    kind: &str,
+    motors: u8,
+    more: &[&str],
+) -> (TempDir, PathBuf, Simulation) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control");
     let (count, socket) = (motors.to_string(), path.to_str().unwrap());
     let options = ["--only", kind, "--count", &count, "--control", socket];
-    let simulation = Simulation::start(2, &options);
+    let simulation = Simulation::start(2, &[&options, more].concat());
     (folder, path, simulation)
 }
 

@@ -2,12 +2,16 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use myactuator_host_std::open::{AnyMaster, BusError};
 use myactuator_protocol_core::io::{Elapsed, Runner};
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Kind, MotorId, Opcode};
+
+use crate::cli::report;
 
 /// A bus in use. What stops a motor elsewhere while it is moved here stops it here, too: nothing more that may
 /// move it is sent.
@@ -29,6 +33,8 @@ pub(super) struct Watched {
     pub(super) confirmed: MotorSet,
     /// Those that have not, however often they were sent one.
     pub(super) silent: MotorSet,
+    /// Set by Ctrl-C and the like, while something goes on that they do not end, and until the user knows that.
+    pub(super) finished_first: Option<Arc<AtomicBool>>,
     awake: Elapsed,
 }
 
@@ -36,7 +42,29 @@ impl Watched {
     pub(super) fn new(bus: AnyMaster<{ MotorId::COUNT }>) -> Self {
         let [moved, off, moved_on, let_go, confirmed, silent] = [MotorSet::EMPTY; 6];
         let (stopped, awake) = (Rc::default(), Elapsed::default());
-        Self { bus, moved, stopped, off, moved_on, let_go, confirmed, silent, awake }
+        let finished_first = None;
+        Self {
+            bus,
+            moved,
+            stopped,
+            off,
+            moved_on,
+            let_go,
+            confirmed,
+            silent,
+            finished_first,
+            awake,
+        }
+    }
+
+    /// Nobody who has pressed Ctrl-C waits without a word.
+    fn tell_of_interruption(&mut self) {
+        if self.finished_first.take_if(|flag| flag.load(Ordering::Relaxed)).is_some() {
+            report(
+                "note",
+                "interrupted: what was begun is finished first, so that nothing is left half written",
+            );
+        }
     }
 
     /// For how long the bus was looked at. Whoever waits for something has had no time for it while this program was
@@ -106,6 +134,7 @@ impl Runner<{ MotorId::COUNT }> for Watched {
 
     fn poll(&mut self) -> Result<Option<Event>, BusError> {
         self.awake();
+        self.tell_of_interruption();
         let event = self.bus.poll()?;
         event.iter().for_each(|event| self.note(event));
         Ok(event)

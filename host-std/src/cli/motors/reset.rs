@@ -11,7 +11,7 @@ use crate::cli::Outcome;
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
 /// The shaft is free meanwhile unless a brake holds it, which is locked first where it is open (0x78), and whole turns
-/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and
+/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. Ctrl-C ends this program when the motor has restarted. Exit status: 0 if the motor has restarted and
 /// has no error, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -48,7 +48,7 @@ fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
 }
 
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
-    session.is_not_left_halfway()?;
+    session.is_finished_first()?;
     session.standing(motor)?;
     Ok(bring_up::restart(&mut session.master, motor, motor)?)
 }

@@ -330,6 +330,14 @@ impl Session {
             .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))
     }
 
+    /// From now on Ctrl-C and the like end nothing on this bus; they are told at once that they end the program when this
+    /// is done.
+    pub(super) fn is_finished_first(&mut self) -> Outcome {
+        self.is_not_left_halfway()?;
+        self.master.finished_first = Some(self.interrupted.clone());
+        Ok(())
+    }
+
     /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         match self.turns_at(motor)? {

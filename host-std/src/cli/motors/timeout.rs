@@ -12,7 +12,7 @@ use crate::cli::{Outcome, arguments as parse};
 /// It is what stops a motor when the master is killed or the bus is cut. The motor keeps it in its ROM. A
 /// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
 /// This program speaks to a motor that it moves every 10 to 20 ms, and later on a busy machine: below 50 ms the
-/// protection may end what it does. Exit status: 0 if the motor has acknowledged it, 1 if not, 2 for wrong usage.
+/// protection may end what it does. Ctrl-C ends it when the motor has acknowledged. Exit status: 0 if the motor has acknowledged it, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
@@ -29,7 +29,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
         _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
     })?;
-    session.is_not_left_halfway()?;
+    session.is_finished_first()?;
     let told = bring_up::protect(&mut session.master, motor, time)
         .map_err(|error| session.failed(error))?;
     say(&sentence(motor, time, told))

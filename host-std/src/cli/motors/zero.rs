@@ -10,7 +10,7 @@ use crate::cli::Outcome;
 /// Make a motor's present position its zero, and check that it is kept
 ///
 /// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off (0x80), stores
-/// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Exit status: 0 if the zero is kept, 1 if not, 2 for
+/// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Ctrl-C ends this program when that is finished. Exit status: 0 if the zero is kept, 1 if not, 2 for
 /// wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -31,7 +31,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 
 /// Makes it, and tells the zero.
 fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
-    session.is_not_left_halfway()?;
+    session.is_finished_first()?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let offset = bring_up::zero_here(&mut session.master, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
