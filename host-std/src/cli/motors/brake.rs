@@ -54,19 +54,19 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
             }
         }
-        Action::Lock => {
-            let mut session = Session::open_to_stop(&arguments.motor.on)?;
-            let held = session.runs_something(motor) == Some(true)
-                && session.ask(motor, ReadStatus1)?.brake == BrakeCommand::RELEASE;
-            match session.lock_brake(motor)? {
-                Lock::Holds => say(&format!("motor {motor}: brake locked")),
-                Lock::IsNotThere => Err(Unfinished::Failed(format!(
-                    "motor {motor}: the brake was told to lock, and the motor says that it was not"
-                ))),
-                Lock::Slips(why) if held => Err(session.hold_again(motor, why)),
-                Lock::Slips(why) => Err(why),
-            }
-        }
+        Action::Lock => lock(&mut Session::open_to_stop(&arguments.motor.on)?, motor),
+    }
+}
+
+fn lock(session: &mut Session, motor: MotorId) -> Outcome {
+    let held = session.may_hold(motor)?;
+    match session.lock_brake(motor)? {
+        Lock::Holds => say(&format!("motor {motor}: brake locked")),
+        Lock::IsNotThere => Err(Unfinished::Failed(format!(
+            "motor {motor}: the brake was told to lock, and the motor says that it was not"
+        ))),
+        Lock::Slips(why) if held => Err(session.hold_again(motor, why)),
+        Lock::Slips(why) => Err(why),
     }
 }
 
@@ -158,6 +158,14 @@ impl Session {
         Ok(None)
     }
 
+    /// Whether the motor may hold its shaft, as the library has it: it runs something, or its brake is open and it does not
+    /// say, and it has no error.
+    fn may_hold(&mut self, motor: MotorId) -> Outcome<bool> {
+        let status = self.ask(motor, ReadStatus1)?;
+        let is_open = status.brake != BrakeCommand::LOCK;
+        Ok(self.runs_something(motor).unwrap_or(is_open) && status.errors.is_empty())
+    }
+
     /// Whether the motor runs something, so that it may hold what would fall; not every drive answers that.
     pub(super) fn runs_something(&mut self, motor: MotorId) -> Option<bool> {
         self.master.ask(motor, ReadRunningMode).ok().map(|reply| reply.mode.raw() != 0)
@@ -179,8 +187,51 @@ mod tests {
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::drive::Quirks;
 
+    use super::super::odd_drive;
     use super::super::simulated::sent;
     use super::*;
+
+    /// That what held a load holds it again where its brake slips so long after it was told to lock.
+    fn is_held_again(mode: Option<u8>, slips_after_ms: u64) {
+        let (fleet, drive) = odd_drive::alone();
+        let mut is = drive.lock().unwrap();
+        (is.mode, is.is_open) = (mode, true);
+        is.slips_after = Some(Duration::from_millis(slips_after_ms));
+        drop(is);
+        let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
+        let case = format!("mode {mode:?}, {slips_after_ms} ms: {outcome:?}");
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{case}") };
+        assert!(told.contains("motor 1 is stopped and holds still (0x81)"), "{case}");
+        let is = drive.lock().unwrap();
+        let locked = is.told.iter().position(|byte| *byte == 0x78).unwrap();
+        let mut then = is.told[locked..].iter().copied().filter(|byte| matches!(byte, 0x76..=0x81));
+        assert_eq!([then.next(), then.next(), then.next()], [0x78, 0x77, 0x81].map(Some), "{case}");
+        assert!(is.is_open, "{case}");
+    }
+
+    /// The library looks 200 ms after it has told the brake to lock, and this program for 200 ms more.
+    #[test]
+    fn what_a_slipping_brake_lets_go_is_held_again_whenever_that_is_seen() {
+        for slips_after_ms in [100, 300] {
+            is_held_again(Some(3), slips_after_ms);
+            // It may hold something, for all that is known.
+            is_held_again(None, slips_after_ms);
+        }
+    }
+
+    #[test]
+    fn a_motor_that_held_nothing_is_not_told_to_behind_a_brake_that_slips() {
+        let (fleet, drive) = odd_drive::alone();
+        let mut is = drive.lock().unwrap();
+        (is.mode, is.is_open) = (Some(0), true);
+        is.slips_after = Some(Duration::from_millis(300));
+        drop(is);
+        let Err(Unfinished::Failed(told)) = lock(&mut Session::on(&fleet), MotorId::MIN) else {
+            panic!("it slips");
+        };
+        assert!(told.ends_with("does not hold: the shaft turns at 50 dps"), "{told}");
+        assert!(!drive.lock().unwrap().told.contains(&0x77));
+    }
 
     #[test]
     fn a_brake_that_says_lock_after_an_acknowledged_release_is_no_failure() {

@@ -1,5 +1,5 @@
 //! A drive that no quirk makes, for tests: it keeps no other id, and runs on after 0x76. What it does not know it
-//! answers with its last reply.
+//! answers with its last reply. Its brake may slip when it has held for a while.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -15,12 +15,19 @@ use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 /// How long it takes to answer.
 const RESPONSE: Duration = Duration::from_micros(800);
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct OddDrive {
     /// What it was told, in order.
     pub(super) told: Vec<u8>,
     /// What it says of that.
     pub(super) run_time_ms: u32,
+    /// What runs, if it answers that.
+    pub(super) mode: Option<u8>,
+    /// Whether its brake was told to open last.
+    pub(super) is_open: bool,
+    /// So long after it was told to lock, the shaft turns behind it.
+    pub(super) slips_after: Option<Duration>,
+    locked_at: Option<Instant>,
     last: Data,
     waiting: VecDeque<(Instant, Packet)>,
 }
@@ -30,21 +37,25 @@ pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     // In place of the usual one.
     fleet.world.cut(fleet.drives[0].station());
-    let drive =
-        OddDrive { told: Vec::new(), run_time_ms: 0, last: [0; 8], waiting: VecDeque::new() };
-    let drive = Arc::new(Mutex::new(drive));
+    let drive = Arc::new(Mutex::new(OddDrive::default()));
     fleet.world.attach_with(Arc::clone(&drive), ControllerConfig::MAILBOXES);
     (fleet, drive)
 }
 
 impl OddDrive {
-    fn answer(&mut self, data: Data) -> Option<Data> {
+    fn answer(&mut self, data: Data, now: Instant) -> Option<Data> {
         self.told.push(data[0]);
+        match data[0] {
+            0x77 => (self.is_open, self.locked_at) = (true, None),
+            0x78 => (self.is_open, self.locked_at) = (false, Some(now)),
+            _ => {}
+        }
         match data {
             [0x76, ..] => None,
-            [0x80 | 0x81, ..] => Some(data),
+            [0x77 | 0x78 | 0x80 | 0x81, ..] => Some(data),
+            [0x70, ..] if self.mode.is_some() => Some([0x70, 0, 0, 0, 0, 0, 0, self.mode?]),
             // 48 V.
-            [0x9A, ..] => Some([0x9A, 25, 0, 0, 0xE0, 1, 0, 0]),
+            [0x9A, ..] => Some([0x9A, 25, 0, self.is_open.into(), 0xE0, 1, 0, 0]),
             [0xB2, ..] => {
                 let [a, b, c, d] = 2_025_070_202_u32.to_le_bytes();
                 Some([0xB2, 0, 0, 0, a, b, c, d])
@@ -53,9 +64,16 @@ impl OddDrive {
                 let [a, b, c, d] = self.run_time_ms.to_le_bytes();
                 Some([0xB1, 0, 0, 0, a, b, c, d])
             }
+            // 50 dps.
+            [0x9C, ..] if self.slips(now) => Some([0x9C, 25, 0, 0, 50, 0, 0, 0]),
             [byte @ (0x92 | 0x9C | 0x9D), ..] => Some([byte, 0, 0, 0, 0, 0, 0, 0]),
             _ => Some(self.last),
         }
+    }
+
+    fn slips(&self, now: Instant) -> bool {
+        let since = self.locked_at.zip(self.slips_after).map(|(at, after)| at + after);
+        since.is_some_and(|since| since <= now)
     }
 }
 
@@ -63,7 +81,7 @@ impl Node<SimpleFrame> for OddDrive {
     fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
         let Received::Packet(Packet { channel, data }) = can::decode(frame) else { return };
         if channel == Channel::Command(Target::Motor(MotorId::MIN))
-            && let Some(data) = self.answer(data)
+            && let Some(data) = self.answer(data, now)
         {
             self.last = data;
             let answer = Packet { channel: Channel::Reply(MotorId::MIN), data };
