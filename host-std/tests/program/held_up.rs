@@ -191,7 +191,7 @@ fn a_slow_reader_gets_the_result_all_the_same() {
     assert_eq!(process.wait().unwrap().code(), Some(0));
     let told = reading.join().unwrap();
     assert!(
-        told.ends_with("motor 1 has run for 20 s; motor 1 is stopped and holds still (0x81)\n")
+        told.ends_with("motor 1 has run for 20 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n")
     );
 }
 
@@ -248,7 +248,10 @@ fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
         (text(&ended.stderr).to_owned(), ended.status)
     };
     let (told, ended) = unless_late(attempt, |(told, _)| tells_of_silence(told));
-    assert_eq!(told, "error: interrupted; motor 1 is stopped and holds still (0x81)\n");
+    assert_eq!(
+        told,
+        "error: interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n"
+    );
     assert!(died_of(Signal::INT, ended), "{ended}");
     assert!(stands(socket));
 }

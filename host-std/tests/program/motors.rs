@@ -98,6 +98,10 @@ fn move_goes_to_an_angle_on_either_bus() {
         let lines = done(&format!("move --bus {bus} --id 3 --angle-deg 90 --max-speed-dps 180"));
         let (end, way) = lines.split_last().unwrap();
         assert!(end.starts_with("motor 3 has arrived at "), "{end}");
+        assert!(
+            end.ends_with("holds its position unless its protection (0xB3) ends that"),
+            "{end}"
+        );
         assert!((before(end, "deg") - 90.0).abs() <= 0.2, "{end}");
         // 90 degrees at 180 dps take half a second at least.
         assert!((0.5..2.0).contains(&before(end, "s")), "{end}");
@@ -123,7 +127,12 @@ fn a_motor_that_never_moves_is_stopped_also_if_it_may_press() {
             refused(&format!("move --id 1 --angle-deg 90 --max-torque-pct 1 {press}"));
         assert_eq!(status, 1);
         assert!(told.contains("comes no nearer to 90 deg"), "{told}");
-        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert!(
+            told.ends_with(
+                "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+            ),
+            "{told}"
+        );
     }
 }
 
@@ -133,7 +142,12 @@ fn a_motor_that_does_not_arrive_in_time_is_stopped() {
     assert_eq!(status, 1);
     assert!(told.starts_with("motor 1 has not arrived: it is at "), "{told}");
     assert!(told.contains("not at 720 deg when its time is up"), "{told}");
-    assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+    assert!(
+        told.ends_with(
+            "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+        ),
+        "{told}"
+    );
 }
 
 #[test]
@@ -141,7 +155,7 @@ fn speed_turns_the_motor_and_then_holds_it() {
     for bus in ["sim", "sim:1,rs485"] {
         let lines = done(&format!("speed --bus {bus} --id 1 --speed-dps -90 --for-s 0.5"));
         let (end, way) = lines.split_last().unwrap();
-        let told = "motor 1 has run for 0.5 s; motor 1 is stopped and holds still (0x81)";
+        let told = "motor 1 has run for 0.5 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
         assert_eq!(end, told);
         assert_eq!(before(way.last().unwrap(), "dps"), -90.0);
     }
@@ -165,7 +179,12 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
         assert_eq!(done(&format!("{motion} {ranges}")), lines, "{ranges}");
     }
     let (end, way) = lines.split_last().unwrap();
-    assert!(end.ends_with("motor 2 is stopped and holds still (0x81)"), "{end}");
+    assert!(
+        end.ends_with(
+            "motor 2 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+        ),
+        "{end}"
+    );
     assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
     // Others than its firmware's would multiply the torque.
     let (status, told) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));

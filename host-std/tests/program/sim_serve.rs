@@ -229,7 +229,7 @@ fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
     let (status, told) = run_at(simulation.bus("slcan"), &["stop"]);
     assert_eq!(
         told,
-        "error: motor 1 is stopped and holds still (0x81); motor 2 has confirmed the stop (0x81) but reports an error \
+        "error: motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that; motor 2 has confirmed the stop (0x81) but reports an error \
          (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft; no other id has \
          confirmed: a motor that is not named here may go on\n"
     );
@@ -543,7 +543,10 @@ fn ctrl_c_stops_the_motor_that_runs() {
     let (first, status, told) = unless_late(attempt, |(.., told)| tells_of_silence(told));
     assert!(first.is_some_and(|line| line.is_ok()));
     assert_eq!(status.signal(), Some(Signal::INT.as_raw()), "{told}");
-    assert_eq!(told, "error: interrupted; motor 1 is stopped and holds still (0x81)\n");
+    assert_eq!(
+        told,
+        "error: interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n"
+    );
     // It slows down first.
     assert!((0..100).any(|_| state(bus, "speed_dps") == 0.0), "the motor still turns");
 }

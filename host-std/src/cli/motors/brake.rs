@@ -201,7 +201,12 @@ mod tests {
         let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
         let case = format!("mode {mode:?}, {slips_after_ms} ms: {outcome:?}");
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{case}") };
-        assert!(told.contains("motor 1 is stopped and holds still (0x81)"), "{case}");
+        assert!(
+            told.contains(
+                "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+            ),
+            "{case}"
+        );
         let is = drive.lock().unwrap();
         let locked = is.told.iter().position(|byte| *byte == 0x78).unwrap();
         let mut then = is.told[locked..].iter().copied().filter(|byte| matches!(byte, 0x76..=0x81));

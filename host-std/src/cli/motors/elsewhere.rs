@@ -198,7 +198,7 @@ mod tests {
             session.stop(StopKind::Hold, MotorId::MIN.into())?;
             Err(Unfinished::Failed("made up".to_owned()))
         });
-        let told = "made up; motor 1 is stopped and holds still (0x81)";
+        let told = "made up; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
         assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
     }
 

@@ -21,6 +21,9 @@ use super::session::Session;
 use super::session::{OneMotor, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
+/// What ends that; nothing reads back whether it is set.
+const UNLESS_PROTECTED: &str = " unless its protection (0xB3) ends that";
+
 /// Move a motor to an angle, or by one, and watch it arrive
 ///
 /// It has arrived when it stands within 0.2 degrees of the target; then it holds its position until it
@@ -120,12 +123,12 @@ fn go(
     let tolerance = limits.tolerance.raw().unsigned_abs();
     match outcome {
         Ok(end) if end.angle.raw().abs_diff(end.target.raw()) > tolerance => say(&format!(
-            "motor {motor} has met something at {:.2} deg after {:.2} s and presses against it",
+            "motor {motor} has met something at {:.2} deg after {:.2} s and presses against it{UNLESS_PROTECTED}",
             end.angle.degrees_f64(),
             seconds(end.time)
         )),
         Ok(arrival) => say(&format!(
-            "motor {motor} has arrived at {:.2} deg after {:.2} s and holds its position",
+            "motor {motor} has arrived at {:.2} deg after {:.2} s and holds its position{UNLESS_PROTECTED}",
             arrival.angle.degrees_f64(),
             seconds(arrival.time)
         )),
@@ -182,7 +185,7 @@ mod tests {
     #[test]
     fn a_motor_that_is_stopped_from_elsewhere_is_told_so_at_once() {
         for (first, how) in [
-            (0x81, "is stopped and holds still (0x81)"),
+            (0x81, "is stopped and holds still (0x81) unless its protection (0xB3) ends that"),
             (0x80, "is off (0x80): its shaft is free unless a brake holds it"),
         ] {
             let fleet = Fleet::new(1).on_can(1_000_000).unwrap();

@@ -397,8 +397,8 @@ pub(super) fn named(motors: MotorSet) -> String {
 /// That these motors are stopped, and have no error.
 fn hold_still(motors: MotorSet) -> String {
     let are = match motors.len() {
-        1 => "is stopped and holds still (0x81)",
-        _ => "are stopped and hold still (0x81)",
+        1 => "is stopped and holds still (0x81) unless its protection (0xB3) ends that",
+        _ => "are stopped and hold still (0x81) unless their protection (0xB3) ends that",
     };
     format!("{} {are}", named(motors))
 }
@@ -521,7 +521,9 @@ mod tests {
         let is_on = || fleet.drives[0].with(|drive| drive.state().output_on);
         assert!(!is_on(), "it has ignored that");
         // It hears it steadily now.
-        let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
+        let holds =
+            "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+                .to_owned();
         assert_eq!(session.stopped(motor.into()), Ok(holds));
         assert!(is_on());
     }
@@ -537,7 +539,9 @@ mod tests {
         let later = session.master.now() + Duration::from_millis(200);
         session.wait_until(later).unwrap();
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
-        let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
+        let holds =
+            "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+                .to_owned();
         assert_eq!(session.stopped(MotorId::MIN.into()), Ok(holds));
         assert!(fleet.drives[0].with(|drive| drive.state().output_on));
     }
@@ -600,7 +604,7 @@ mod tests {
     fn a_motor_that_slows_down_still_is_not_said_to_hold_still() {
         // From 180 dps it takes 1.8 s.
         let (outcome, dps) = interrupted_at(18_000);
-        let told = "interrupted; motor 1 is stopped and holds still (0x81)";
+        let told = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
         assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
         // From 540 dps 5.4 s.
@@ -672,7 +676,10 @@ mod tests {
         let outcome = session.stopped(motors);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         let told: Vec<&str> = told.split("; ").collect();
-        assert_eq!(told[0], "motor 6 is stopped and holds still (0x81)");
+        assert_eq!(
+            told[0],
+            "motor 6 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+        );
         for (told, motor) in told[1..].iter().zip(1..) {
             let how =
                 if motor <= 3 { "becomes no slower" } else { "whether it holds is not known" };

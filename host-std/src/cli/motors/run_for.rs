@@ -315,7 +315,10 @@ mod tests {
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         let held_deg = angle_deg();
         let told = put_down(&mut session, MotorId::MIN).unwrap();
-        assert_eq!(told, "motor 1 is stopped and holds still (0x81)");
+        assert_eq!(
+            told,
+            "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+        );
         let sunk_deg = (angle_deg() - held_deg).abs();
         assert!(sunk_deg < 0.5, "{sunk_deg}");
     }
@@ -331,7 +334,12 @@ mod tests {
             panic!("its load falls")
         };
         assert!(told.contains("its brake was told to lock (0x78) and does not hold"), "{told}");
-        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert!(
+            told.ends_with(
+                "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+            ),
+            "{told}"
+        );
         assert!(fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
@@ -470,7 +478,7 @@ mod tests {
                 session.ask(MotorId::MIN, slowly).unwrap();
                 CtrlC::attach(&fleet, &session, Duration::from_millis(after_ms));
                 let outcome = run_to_end(&mut session, TURN, (1.0, opens, end), || {});
-                let told = "interrupted; motor 1 is stopped and holds still (0x81)".to_owned();
+                let told = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that".to_owned();
                 assert_eq!(outcome, Err(Unfinished::Interrupted(told)), "{end:?} {after_ms}");
                 session.standing(MotorId::MIN).unwrap();
             }
@@ -498,7 +506,7 @@ mod tests {
             let hold = StopKind::Hold;
             for told in [told_of_restart(TURN, hold, at), told_of_restart(motion, hold, at)] {
                 assert!(
-                    told.ends_with("motor 1 is stopped and holds still (0x81)"),
+                    told.ends_with("motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"),
                     "{at}: {told}"
                 );
             }
@@ -512,7 +520,10 @@ mod tests {
         for ms in (2_000..2_010).chain([2_200]) {
             let at = format!("{ms}ms");
             let told = told_of_restart(TURN, StopKind::Hold, &at);
-            let (holds, off) = ("motor 1 is stopped and holds still (0x81)", "its shaft is free");
+            let (holds, off) = (
+                "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that",
+                "its shaft is free",
+            );
             assert!(told.ends_with(holds) || told.ends_with(off), "{at}: {told}");
             let told = told_of_restart(TURN, StopKind::Off, &at);
             assert!(
@@ -525,7 +536,11 @@ mod tests {
     #[test]
     fn a_motor_that_is_stopped_from_elsewhere_is_not_started_again() {
         for (first, holds, how) in [
-            (0x81, true, "is stopped and holds still (0x81)"),
+            (
+                0x81,
+                true,
+                "is stopped and holds still (0x81) unless its protection (0xB3) ends that",
+            ),
             (0x80, false, "is off (0x80): its shaft is free unless a brake holds it"),
         ] {
             let fleet = fleet();
@@ -568,7 +583,12 @@ mod tests {
         });
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.starts_with("this program was held up for 5.0"), "{told}");
-        assert!(told.ends_with("; motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert!(
+            told.ends_with(
+                "; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
+            ),
+            "{told}"
+        );
         let commands = commands(&log);
         assert!(!commands.contains(&0xA2) && commands.contains(&0x81), "{commands:02X?}");
     }
