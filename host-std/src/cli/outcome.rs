@@ -31,7 +31,7 @@ const INTERRUPTED: u8 = 130;
 /// How long the last words may take after Ctrl-C and the like, each stream.
 const LAST_WORDS: Duration = Duration::from_millis(300);
 /// How long an error waits for what was printed before it.
-const IN_ORDER: Duration = Duration::from_millis(100);
+pub(super) const IN_ORDER: Duration = Duration::from_millis(100);
 
 /// Reports why it did not come to its end, sees that all is printed, and gives the exit status.
 ///

@@ -292,6 +292,22 @@ fn a_motor_is_restarted_and_protected() {
 }
 
 #[test]
+fn a_protection_shorter_than_this_program_speaks_is_told_of() {
+    let beside = |millis: &str| {
+        let output = run_simulated(&format!("timeout --yes --id 1 --time-ms {millis}"));
+        assert_eq!(output.status.code(), Some(0), "{millis}");
+        text(&output.stderr).to_owned()
+    };
+    let told = beside("49");
+    let note = "note: below 50 ms the protection may end what this program does: it speaks to a motor that it moves \
+                every 10 to 20 ms, and later on a busy machine\n";
+    assert!(told.ends_with(note), "{told}");
+    for millis in ["0", "50"] {
+        assert!(!beside(millis).contains("note"), "{millis}");
+    }
+}
+
+#[test]
 fn zero_is_kept_over_the_restart() {
     let lines = done("zero --id 4");
     assert_eq!(lines.len(), 1);

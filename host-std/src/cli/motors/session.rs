@@ -21,7 +21,9 @@ use super::elsewhere::Watched;
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
-use crate::cli::{Outcome, Unfinished, interrupt, printable, report, unwritten};
+use crate::cli::{
+    Outcome, Unfinished, interrupt, outcome, printable, printer, report, unwritten,
+};
 
 /// What came that cannot be understood, on RS485.
 const NO_FRAME: &str =
@@ -223,6 +225,8 @@ impl Session {
         if self.yes || self.address.is_simulated() {
             return Ok(());
         }
+        // What was noted about it comes before it.
+        let _ = printer::ERR.wait_for(outcome::IN_ORDER);
         let mut ask = io::stderr().lock();
         write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(|error| unwritten(&error))?;
         let mut answer = String::new();

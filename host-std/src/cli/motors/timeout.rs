@@ -5,14 +5,18 @@ use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
 
 use super::session::{OneMotor, say};
-use crate::cli::{Outcome, arguments as parse};
+use crate::cli::{Outcome, arguments as parse, report};
+
+/// Below this it is shorter than this program may take to speak to a motor.
+const SHORT_MS: u32 = 50;
 
 /// Set after how long without a command a motor cuts its output by itself (0xB3)
 ///
 /// It is what stops a motor when the master is killed or the bus is cut. The motor keeps it in its ROM. A
 /// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
 /// This program speaks to a motor that it moves every 10 to 20 ms, and later on a busy machine: below 50 ms the
-/// protection may end what it does. Ctrl-C ends it when the motor has acknowledged. Exit status: 0 if the motor has acknowledged it, 1 if not, 2 for wrong usage.
+/// protection may end what it does. Ctrl-C ends this program when the motor has
+/// acknowledged. Exit status: 0 if it has, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
@@ -25,14 +29,35 @@ pub(in crate::cli) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let (motor, time) = (arguments.motor.id, arguments.time_ms);
     let mut session = arguments.motor.open_to_change()?;
-    session.confirm(&match time.raw() {
-        0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
-        _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
-    })?;
+    note_short(time);
+    session.confirm(&question(motor, time))?;
     session.is_finished_first()?;
     let told = bring_up::protect(&mut session.master, motor, time)
         .map_err(|error| session.failed(error))?;
     say(&sentence(motor, time, told))
+}
+
+/// Tells of a time that this program may not keep itself.
+fn note_short(time: Milliseconds) {
+    if (1..SHORT_MS).contains(&time.raw()) {
+        report(
+            "note",
+            format!(
+                "below {SHORT_MS} ms the protection may end what this program does: it speaks to a motor that it moves \
+                 every 10 to 20 ms, and later on a busy machine"
+            ),
+        );
+    }
+}
+
+fn question(motor: MotorId, time: Milliseconds) -> String {
+    match time.raw() {
+        0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
+        _ => format!(
+            "Motor {motor} will cut its output when it hears nothing for {time}, also while it holds still or a position \
+             and no program runs: a load can fall then."
+        ),
+    }
 }
 
 fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
@@ -54,6 +79,13 @@ fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_user_is_asked_with_what_a_protection_does_to_a_motor_that_holds() {
+        let asked = |millis| question(MotorId::MIN, Milliseconds::from_raw(millis));
+        assert!(asked(100).contains("also while it holds still or a position"), "{}", asked(100));
+        assert!(!asked(0).contains("hold"), "{}", asked(0));
+    }
 
     #[test]
     fn what_is_not_confirmed_is_not_said_to_be_set() {
