@@ -432,9 +432,17 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     // Now and then two equal answers become one frame.
     let is_told = |_| run_at(bus, &["scan"]).1.contains("note: two motors seem to have id 1");
     assert!((0..3).any(is_told));
-    let change = ["timeout", "--id", "1", "--time-ms", "1000", "--yes"];
+    // Nor is anything else written to them, nor are their shafts let go.
+    for change in ["zero", "timeout --time-ms 1000", "reset", "brake release"] {
+        let words: Vec<&str> = change.split(' ').chain(["--id", "1", "--yes"]).collect();
+        let (status, told) = run_at(bus, &words);
+        assert_eq!(status, Some(1), "{change}: {told}");
+        assert!(told.contains("error: two motors seem to have id 1"), "{change}: {told}");
+    }
+    // What moves them is not refused, and takes no closer look than costs nothing.
+    let turn = ["speed", "--id", "1", "--speed-dps", "5", "--for-s", "0.1", "--yes"];
     let both = "note: two motors seem to have id 1: connect only one of them. Both will do this";
-    assert!((0..3).any(|_| run_at(bus, &change).1.contains(both)));
+    assert!((0..3).any(|_| run_at(bus, &turn).1.contains(both)));
     drop(simulation);
     let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2"]);
     let told = done_at(simulation.bus("slcan"), &["scan"]);

@@ -19,8 +19,8 @@ const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 /// Release or lock a motor's brake
 ///
 /// The brake of a motor that turns and runs something is not locked: stop it first. If one that held does not stand behind
-/// its brake, that is opened again and the motor holds (0x77, 0x81). A release lets the shaft go, and a load with it;
-/// 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
+/// its brake, that is opened again and the motor holds (0x77, 0x81). A release lets the shaft go, and a load with it,
+/// so two motors with the same id are refused; 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
 /// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -43,7 +43,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let motor = arguments.motor.id;
     match arguments.action {
         Action::Release => {
-            let mut session = arguments.motor.open_to_change()?;
+            let mut session = arguments.motor.open_to_write()?;
             session.ask(motor, ReadStatus1)?;
             session.confirm(&format!(
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."

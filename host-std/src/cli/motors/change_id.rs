@@ -13,8 +13,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 /// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off, keeps the id in
 /// its ROM and restarts; its whole turns are lost with that unless multi-turn saving (function 4) is on. It is told by
 /// function 5 (0x20), which names it; if it does not acknowledge that, and is the only one on the bus, by 0x79, which
-/// all obey. Two motors with the same id are refused: connect only one of them. Ctrl-C ends this program when the change is finished. Exit status: 0 if it answers under the
-/// new id, 1 if not, 2 for wrong usage.
+/// all obey. Two motors with the same id are refused: connect only one of them. Ctrl-C ends this program when the change
+/// is finished. Exit status: 0 if it answers under the new id, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]

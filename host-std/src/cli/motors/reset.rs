@@ -11,8 +11,9 @@ use crate::cli::Outcome;
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
 /// The shaft is free meanwhile unless a brake holds it, which is locked first where it is open (0x78), and whole turns
-/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. Ctrl-C ends this program when the motor has restarted. Exit status: 0 if the motor has restarted and
-/// has no error, 1 if not, 2 for wrong usage.
+/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. So are two motors
+/// with the same id. Ctrl-C ends this program when the motor has restarted. Exit status: 0 if the motor has restarted and
+/// has no error, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
@@ -20,7 +21,7 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    run_on(&mut arguments.motor.open_to_change()?, arguments.motor.id)
+    run_on(&mut arguments.motor.open_to_write()?, arguments.motor.id)
 }
 
 fn run_on(session: &mut Session, motor: MotorId) -> Outcome {

@@ -50,7 +50,16 @@ pub(super) struct OneMotor {
 }
 
 impl OneMotor {
-    /// Opens its bus to move it or write its memory, and tells whether that would happen to two.
+    /// Opens its bus to write its memory, restart it or let its shaft go. Refuses that where it would happen to two: what
+    /// one of them answers says nothing of the other, which may drop a load or keep what was meant for one.
+    pub(super) fn open_to_write(&self) -> Outcome<Session> {
+        let mut session = Session::open_to_change(&self.on, self.consent)?;
+        session.refuse_shared(self.id)?;
+        Ok(session)
+    }
+
+    /// Opens its bus to move it, and tells whether that would happen to two. It is not refused: both are watched for what
+    /// they answer, are stopped by one stop, and another program that asks the motor looks the same.
     pub(super) fn open_to_change(&self) -> Outcome<Session> {
         let mut session = Session::open_to_change(&self.on, self.consent)?;
         // A motor that does not answer is told of by whoever asks next.
@@ -269,6 +278,20 @@ impl Session {
         Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
     }
 
+    /// Refuses an id that two motors seem to have, after a close look.
+    fn refuse_shared(&mut self, motor: MotorId) -> Outcome {
+        // Nobody who answers is no motor.
+        self.ask(motor, ReadStatus2)?;
+        match bring_up::is_shared(&mut self.master, motor) {
+            Ok(false) => Ok(()),
+            Ok(true) => Err(Unfinished::Failed(format!(
+                "{} (or does another program ask it, too? end that one)",
+                shared(motor)
+            ))),
+            Err(error) => Err(self.failed(error)),
+        }
+    }
+
     /// The motors that are meant: one, or all that answer.
     pub(super) fn meant(&mut self, target: Target) -> Outcome<MotorSet> {
         match target {
@@ -429,6 +452,18 @@ mod tests {
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("leave ',echo' away"), "{told}");
         assert!(told.ends_with("its brake may be open all the same"), "{told}");
+    }
+
+    #[test]
+    fn what_writes_or_lets_go_is_refused_to_two_motors_of_one_id() {
+        let refused = |fleet: &Fleet| {
+            let mut session = Session::on(&fleet.on_can(1_000_000).unwrap());
+            session.refuse_shared(MotorId::MIN)
+        };
+        assert_eq!(refused(&Fleet::new(2)), Ok(()));
+        let outcome = refused(&Fleet::new(2).all_with_id(MotorId::MIN));
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.starts_with("two motors seem to have id 1: connect only one"), "{told}");
     }
 
     #[test]

@@ -15,7 +15,7 @@ const SHORT_MS: u32 = 50;
 /// It is what stops a motor when the master is killed or the bus is cut. The motor keeps it in its ROM. A
 /// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
 /// This program speaks to a motor that it moves every 10 to 20 ms, and later on a busy machine: below 50 ms the
-/// protection may end what it does. Ctrl-C ends this program when the motor has
+/// protection may end what it does. Two motors with the same id are refused. Ctrl-C ends this program when the motor has
 /// acknowledged. Exit status: 0 if it has, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -28,7 +28,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let (motor, time) = (arguments.motor.id, arguments.time_ms);
-    let mut session = arguments.motor.open_to_change()?;
+    let mut session = arguments.motor.open_to_write()?;
     note_short(time);
     session.confirm(&question(motor, time))?;
     session.is_finished_first()?;

@@ -10,8 +10,9 @@ use crate::cli::Outcome;
 /// Make a motor's present position its zero, and check that it is kept
 ///
 /// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off (0x80), stores
-/// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Ctrl-C ends this program when that is finished. Exit status: 0 if the zero is kept, 1 if not, 2 for
-/// wrong usage.
+/// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Ctrl-C ends this
+/// program when that is finished. Two motors with the same id are refused. Exit status: 0 if the zero is kept, 1 if not,
+/// 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
@@ -20,7 +21,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let motor = arguments.motor.id;
-    let mut session = arguments.motor.open_to_change()?;
+    let mut session = arguments.motor.open_to_write()?;
     session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     session.confirm(&format!(
