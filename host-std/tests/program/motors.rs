@@ -246,7 +246,8 @@ fn stop_and_shutdown_reach_one_or_all() {
     assert!(!done("stop --bus sim:32")[0].contains("no other id"));
     let (status, told) = refused("stop --id 9");
     assert_eq!(status, 1);
-    assert!(told.contains("no confirmation of the stop from motor 9"), "{told}");
+    let doubt = "no confirmation of the stop from motor 9: if it is on this bus, cut its power";
+    assert_eq!(told, doubt);
 }
 
 /// What is told beside the output when this is sent.
@@ -260,12 +261,11 @@ fn told_beside(command: &str) -> String {
 fn what_goes_on_after_send_is_told() {
     let turn = "speed --speed-dps 90 --max-torque-pct 0";
     let told = told_beside(&format!("--id 1 {turn}"));
-    assert!(told.contains("note: motor 1 may go on: 'myactuator stop' ends that\n"), "{told}");
+    let ends = "'myactuator stop --bus sim:4 --id 1' ends that\n";
+    assert!(told.contains(&format!("note: motor 1 may go on: {ends}")), "{told}");
     let told = told_beside(&format!("--id all {turn}"));
-    assert!(
-        told.contains("note: motors 1 2 3 4 may go on: 'myactuator stop' ends that\n"),
-        "{told}"
-    );
+    let ends = "'myactuator stop --bus sim:4 --id all' ends that\n";
+    assert!(told.contains(&format!("note: motors 1 2 3 4 may go on: {ends}")), "{told}");
     assert!(!told_beside("--id 1 read-status2").contains("note"));
     assert!(!told_beside("--id 1 stop").contains("note"));
 }

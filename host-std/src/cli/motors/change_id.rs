@@ -50,8 +50,8 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
 
 fn change(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
     session.is_finished_first()?;
-    bring_up::change_id(&mut session.master, from, to)?;
-    Ok(())
+    bring_up::change_id(&mut session.master, from, to)
+        .map_err(|error| session.not_brought_up(error))
 }
 
 /// The motor that is meant.

@@ -105,11 +105,12 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
         _ => "the others".to_owned(),
     };
     let why = outage.map(|why| format!("{why}; ")).unwrap_or_default();
-    let (echo, address) = (session.echo_told_of(), &session.address);
+    let (echo, other_rates) = (session.echo_told_of(), session.other_rates());
+    let address = &session.address;
     Err(Unfinished::Failed(if confirmed.is_empty() {
         format!(
             "{why}no confirmation of the stop from any motor{}: if one is on {address}, cut its power; then check the \
-             wiring and the bit rate ('scan --all-rates' tries the others){echo}",
+             wiring and the bit rate ({other_rates}){echo}",
             session.garbled(),
         )
     } else {

@@ -8,6 +8,7 @@ mod change_id;
 mod elsewhere;
 mod group;
 mod halt;
+mod hints;
 mod motion;
 mod move_to;
 mod moving;

@@ -81,7 +81,9 @@ fn is_on_scale(session: &mut Session, motor: MotorId, ranges: &MotionRanges) -> 
     }
     Err(Unfinished::Failed(format!(
         "motor {motor} is at {here} ({here_rad:.2} rad), and motion mode knows {min} to {max} rad: move it back first \
-         ('myactuator move'), or make where it is its zero ('myactuator zero')"
+         ({}), or make where it is its zero ({})",
+        session.hint("move --angle-deg 0", motor),
+        session.hint("zero", motor)
     )))
 }
 

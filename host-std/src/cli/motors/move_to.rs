@@ -18,7 +18,7 @@ use super::moving::{ENDS, HOLDS};
 use super::progress::Progress;
 use super::run_for::seconds;
 use super::session::Session;
-use super::session::{OneMotor, healthy, say};
+use super::session::{OneMotor, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// What ends that; nothing reads back whether it is set.
@@ -138,7 +138,7 @@ fn go(
             session.check_stopped_elsewhere()
         }
         Err(NotArrived { why: MoveFailure::Call(error), .. }) => Err(error.into()),
-        Err(NotArrived { why: MoveFailure::Fault(errors), .. }) => healthy(motor, errors),
+        Err(NotArrived { why: MoveFailure::Fault(errors), .. }) => session.healthy(motor, errors),
         Err(NotArrived { why, .. }) => {
             Err(Unfinished::Failed(format!("motor {motor} has not arrived: {why}")))
         }

@@ -154,8 +154,10 @@ impl Session {
         while !silent.is_empty() {
             silent = self.silent_at_stop(kind, silent);
             if !silent.is_empty() && self.master.awake() - begun >= LONGEST_OUTAGE {
+                let is_there = silent.iter().all(|motor| self.has_heard(motor));
+                let doubt = if is_there { "" } else { "if it is on this bus, " };
                 return Err(Unfinished::Failed(format!(
-                    "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power{}",
+                    "no confirmation of the stop from motor {silent}: {doubt}cut its power{}",
                     self.echo_told_of()
                 )));
             }
@@ -394,7 +396,7 @@ pub(super) fn named(motors: MotorSet) -> String {
     format!("{noun} {motors}")
 }
 
-/// That these motors are stopped, and have no error.
+/// That these motors are stopped, and have no error. Whether they have a protection, nothing reads back.
 fn hold_still(motors: MotorSet) -> String {
     let are = match motors.len() {
         1 => "is stopped and holds still (0x81) unless its protection (0xB3) ends that",

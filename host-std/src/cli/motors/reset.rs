@@ -51,7 +51,8 @@ fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
     session.is_finished_first()?;
     session.standing(motor)?;
-    Ok(bring_up::restart(&mut session.master, motor, motor)?)
+    bring_up::restart(&mut session.master, motor, motor)
+        .map_err(|error| session.not_brought_up(error))
 }
 
 #[cfg(test)]
@@ -106,7 +107,7 @@ mod tests {
         let told = restart(&mut session, MotorId::MIN);
         let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
         assert!(told.starts_with("motor 1 does not answer: check its power, "), "{told}");
-        assert!(told.contains("'scan --all-rates'"), "{told}");
+        assert!(told.contains("'myactuator scan --all-rates --bus sim:1' tries"), "{told}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::mem::replace;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    BrakeCommand, Command, ReadRunTime, ReadRunningMode, ReadStatus1, RunTime,
+    BrakeCommand, Command, ReadRunTime, ReadRunningMode, RunTime,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
@@ -16,7 +16,7 @@ use myactuator_protocol_core::time::Duration;
 use super::brake::Lock;
 use super::moving::told_with_stop;
 use super::progress::Progress;
-use super::session::{OneMotor, Session, healthy, say};
+use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How often the command is sent.
@@ -170,7 +170,7 @@ fn repeat<C: Command + Copy>(
             Err(error) => return Err(error.into()),
         }
         if turn % ERRORS_EVERY == 0 {
-            healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;
+            session.ready(motor)?;
             runs_on(session, motor, &mut ran)?;
             // The first commands after a silence are not obeyed (2.31.1), and motion mode has no mode of this list.
             if turn > 0 && !command.kind().is_motion() {
@@ -200,7 +200,8 @@ fn runs(session: &mut Session, motor: MotorId) -> Outcome {
     match session.ask(motor, ReadRunningMode)?.mode.raw() {
         0 => Err(Unfinished::Failed(format!(
             "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
-             against loss of communication ('myactuator timeout') too short?"
+             against loss of communication too short ({} makes it longer)?",
+            session.hint("timeout --time-ms 500", motor)
         ))),
         _ => Ok(()),
     }
@@ -268,6 +269,8 @@ mod tests {
         });
         let told = format!("{:?}", outcome.expect_err("it has not turned"));
         assert!(told.contains("motor 1 runs nothing (mode 0)"), "{told}");
+        let longer = "('myactuator timeout --time-ms 500 --bus sim:1 --id 1' makes it longer)";
+        assert!(told.contains(longer), "{told}");
     }
 
     #[test]
@@ -613,6 +616,6 @@ mod tests {
         let (world, station) = (fleet.world.clone(), fleet.drives[0].station());
         let why = turn(&mut session, || world.cut(station));
         let Unfinished::Failed(told) = why else { panic!("{why:?}") };
-        assert!(told.contains("cut its power"), "{told}");
+        assert!(told.contains("from motor 1: cut its power"), "{told}");
     }
 }

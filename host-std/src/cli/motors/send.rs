@@ -119,7 +119,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         send(session)?;
         session.wait_for_reader()
     })?;
-    report("note", format!("{} may go on: 'myactuator stop' ends that", named(motors)));
+    let stop = session.hint("stop", target);
+    report("note", format!("{} may go on: {stop} ends that", named(motors)));
     Ok(())
 }
 

@@ -9,11 +9,11 @@ use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_host_std::port::SlowAdapter;
 #[cfg(test)]
 use myactuator_host_std::sim::CanFleet;
-use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
+use myactuator_protocol_core::command::{Command, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Bus, Config, Event, Failure, MotorSet};
+use myactuator_protocol_core::master::{Config, Event, MotorSet};
 use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -21,13 +21,7 @@ use super::elsewhere::Watched;
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
-use crate::cli::{
-    Outcome, Unfinished, interrupt, outcome, printable, printer, report, unwritten,
-};
-
-/// What came that cannot be understood, on RS485.
-const NO_FRAME: &str =
-    "bytes come that are no frame (do two motors have one id? connect only one of them)";
+use crate::cli::{Outcome, Unfinished, interrupt, outcome, printable, printer, report, unwritten};
 
 /// Whether the user has said yes already.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -120,10 +114,6 @@ impl From<BringUpError<BusError>> for Unfinished {
                      so see where it is before you move it again"
                 ))
             }
-            BringUpError::NotThere(_) => Self::Failed(format!(
-                "{error}: check its power, the wiring and the bit rate, which may be another since a restart \
-                 ('scan --all-rates' tries the others)"
-            )),
             error => Self::Failed(error.to_string()),
         }
     }
@@ -251,19 +241,6 @@ impl Session {
         self.master.ask(motor, command).map_err(|error| self.failed(error))
     }
 
-    /// Why a call has no answer, and what that may be due to.
-    pub(super) fn failed(&mut self, error: CallError<BusError>) -> Unfinished {
-        match error {
-            CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
-                Unfinished::Failed(format!("{error}; {NO_FRAME}"))
-            }
-            CallError::Failed { failure: Failure::NoReply, .. } => {
-                Unfinished::Failed(format!("{error}{}", self.echo_told_of()))
-            }
-            error => error.into(),
-        }
-    }
-
     /// Whether two motors seem to have this id.
     pub(super) fn is_shared(&mut self, motor: MotorId) -> Outcome<bool> {
         self.ask(motor, ReadStatus2)?;
@@ -311,44 +288,8 @@ impl Session {
     /// Reads a motor's state, and refuses one that reports errors.
     pub(super) fn ready(&mut self, motor: MotorId) -> Outcome<Status1> {
         let status = self.ask(motor, ReadStatus1)?;
-        healthy(motor, status.errors)?;
+        self.healthy(motor, status.errors)?;
         Ok(status)
-    }
-
-    /// That no motor answers, and what to look at.
-    pub(super) fn nobody(&self) -> Unfinished {
-        Unfinished::Failed(format!(
-            "no motor answers on {}{}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)",
-            self.address,
-            self.garbled()
-        ))
-    }
-
-    /// That something came which cannot be understood, if it did.
-    pub(super) fn garbled(&self) -> String {
-        if self.has_garbled() { format!(", but {NO_FRAME}") } else { String::new() }
-    }
-
-    /// The same, beside the motors that were found.
-    pub(super) fn note_garbled(&self) {
-        if self.has_garbled() {
-            report("note", NO_FRAME);
-        }
-    }
-
-    const fn has_garbled(&self) -> bool {
-        self.master.bus.garbled() != self.garbled_by_all
-    }
-
-    /// What a missing answer may be due to, where an echo was told of: an answer of the command's own
-    /// bytes counts as the echo, also where none comes.
-    pub(super) fn echo_told_of(&mut self) -> &'static str {
-        match self.master.master().config().bus {
-            Bus::Rs485 { echo: true, .. } => {
-                " (if the adapter does not hand back what it sends, leave ',echo' away)"
-            }
-            _ => "",
-        }
     }
 
     /// From now on Ctrl-C and the like end nothing halfway: they are looked at where something can end.
@@ -387,72 +328,12 @@ pub(super) fn shared(id: MotorId) -> String {
     format!("two motors seem to have id {id}: connect only one of them")
 }
 
-/// Refuses errors, and tells what to do about them.
-pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
-    if errors.is_empty() {
-        return Ok(());
-    }
-    let remedy = if errors.needs_restart() {
-        "remove the cause, then restart the motor: 'myactuator reset' (0x76), or switch its supply off and on"
-    } else {
-        "it runs again by itself once the cause is gone"
-    };
-    Err(Unfinished::Failed(format!("motor {motor} reports an error ({errors}): {remedy}")))
-}
-
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::io::SerialMaster;
 
     use super::*;
-
-    #[test]
-    fn an_error_of_level_one_asks_for_a_restart_and_one_of_level_two_for_patience() {
-        let told = |errors| match healthy(MotorId::MIN, errors) {
-            Err(Unfinished::Failed(sentence)) => sentence,
-            other => panic!("{other:?}"),
-        };
-        assert_eq!(healthy(MotorId::MIN, ErrorFlags::empty()), Ok(()));
-        let stall = told(ErrorFlags::STALL);
-        assert!(stall.starts_with("motor 1 reports an error (motor stalled): "), "{stall}");
-        assert!(stall.contains("restart"), "{stall}");
-        let low = told(ErrorFlags::UNDER_VOLTAGE);
-        assert!(low.contains("by itself") && !low.contains("restart"), "{low}");
-    }
-
-    /// What is told of this motor, of which nobody gets an answer.
-    fn told_of(fleet: &Fleet, id: u8) -> String {
-        let fleet = fleet.on_rs485(115_200).unwrap();
-        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        let outcome = session.standing(MotorId::new(id).unwrap());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        told
-    }
-
-    #[test]
-    fn of_two_motors_that_answer_at_once_on_a_line_it_is_told_that_something_comes() {
-        let hint =
-            "bytes come that are no frame (do two motors have one id? connect only one of them)";
-        let both = told_of(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
-        assert!(both.ends_with(hint), "{both}");
-        let nobody = told_of(&Fleet::new(1), 2);
-        assert!(nobody.ends_with("is this its id?"), "{nobody}");
-    }
-
-    #[test]
-    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_an_answer_counts_as_one() {
-        let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
-        let config = Config::rs485(115_200, true);
-        let master = SerialMaster::new(world.port(), world.clock(), config);
-        let mut session = Session::by(AnyMaster::SimulatedRs485(master));
-        session.ask(MotorId::MIN, ReadStatus1).unwrap();
-        let outcome = session.release_brake(MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("leave ',echo' away"), "{told}");
-        assert!(told.ends_with("its brake may be open all the same"), "{told}");
-    }
 
     #[test]
     fn what_writes_or_lets_go_is_refused_to_two_motors_of_one_id() {

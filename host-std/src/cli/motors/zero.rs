@@ -34,7 +34,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.is_finished_first()?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    let offset = bring_up::zero_here(&mut session.master, motor)?;
+    let offset = bring_up::zero_here(&mut session.master, motor)
+        .map_err(|error| session.not_brought_up(error))?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
     Ok(format!(
         "motor {motor}: what was {before} is the zero (offset {offset}); after its restart the motor reads {after}"

@@ -1,0 +1,212 @@
+//! What is told of whatever does not work: what it may be due to, and what to type about it.
+
+use myactuator_host_std::open::{BusAddress, BusError};
+use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::io::bring_up::BringUpError;
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{Bus, Failure};
+use myactuator_protocol_core::{MotorId, Target};
+
+use super::session::Session;
+use crate::cli::{Outcome, Unfinished, report};
+
+/// What came that cannot be understood, on RS485.
+const NO_FRAME: &str =
+    "bytes come that are no frame (do two motors have one id? connect only one of them)";
+
+impl Session {
+    /// What is to be typed for this on this bus.
+    pub(super) fn hint(&self, subcommand: &str, whom: impl Into<Target>) -> String {
+        let whom = match whom.into() {
+            Target::Motor(motor) => motor.to_string(),
+            Target::All => "all".to_owned(),
+        };
+        format!("'myactuator {subcommand} --bus {} --id {whom}'", self.address)
+    }
+
+    /// What tries other bit rates than this bus's, or says how.
+    pub(super) fn other_rates(&self) -> String {
+        format!("'myactuator scan --all-rates --bus {}' tries the others", self.address)
+    }
+
+    /// Why a call has no answer, and what that may be due to.
+    pub(super) fn failed(&mut self, error: CallError<BusError>) -> Unfinished {
+        match error {
+            CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
+                Unfinished::Failed(format!("{error}; {NO_FRAME}{}", self.other_adapter()))
+            }
+            CallError::Failed { failure: Failure::NoReply, .. } => Unfinished::Failed(format!(
+                "{error}{}{}",
+                self.echo_told_of(),
+                self.other_adapter()
+            )),
+            error => error.into(),
+        }
+    }
+
+    /// Why a motor did not come back, and what that may be due to.
+    pub(super) fn not_brought_up(&self, error: BringUpError<BusError>) -> Unfinished {
+        match error {
+            BringUpError::NotThere(_) => Unfinished::Failed(format!(
+                "{error}: check its power, the wiring and the bit rate, which may be another since a restart ({})",
+                self.other_rates()
+            )),
+            error => error.into(),
+        }
+    }
+
+    /// Whether this motor was heard on this bus, so that it is there.
+    pub(super) fn has_heard(&mut self, motor: MotorId) -> bool {
+        self.master.master().health(motor).last_seen.is_some()
+    }
+
+    /// That a serial port may belong to an adapter of the other kind, where nobody was heard.
+    fn other_adapter(&mut self) -> String {
+        if MotorId::all().any(|motor| self.has_heard(motor)) {
+            return String::new();
+        }
+        match &self.address {
+            BusAddress::Rs485 { path, .. } => {
+                format!("; if the adapter speaks SLCAN, name it slcan:{}@1000000", path.display())
+            }
+            BusAddress::Slcan { path, .. } => {
+                format!("; if the adapter is for RS485, name it rs485:{}@115200", path.display())
+            }
+            _ => String::new(),
+        }
+    }
+
+    /// Refuses errors, and tells what to do about them.
+    pub(super) fn healthy(&self, motor: MotorId, errors: ErrorFlags) -> Outcome {
+        if errors.is_empty() {
+            return Ok(());
+        }
+        let remedy = if errors.needs_restart() {
+            let reset = self.hint("reset", motor);
+            format!(
+                "remove the cause, then restart the motor: {reset} (0x76), or switch its supply off and on"
+            )
+        } else {
+            "it runs again by itself once the cause is gone".to_owned()
+        };
+        Err(Unfinished::Failed(format!("motor {motor} reports an error ({errors}): {remedy}")))
+    }
+
+    /// That no motor answers, and what to look at.
+    pub(super) fn nobody(&mut self) -> Unfinished {
+        let other_adapter = self.other_adapter();
+        Unfinished::Failed(format!(
+            "no motor answers on {}{}: check the motors' power, the wiring and the bit rate ({}){other_adapter}",
+            self.address,
+            self.garbled(),
+            self.other_rates()
+        ))
+    }
+
+    /// That something came which cannot be understood, if it did.
+    pub(super) fn garbled(&self) -> String {
+        if self.has_garbled() { format!(", but {NO_FRAME}") } else { String::new() }
+    }
+
+    /// The same, beside the motors that were found.
+    pub(super) fn note_garbled(&self) {
+        if self.has_garbled() {
+            report("note", NO_FRAME);
+        }
+    }
+
+    const fn has_garbled(&self) -> bool {
+        self.master.bus.garbled() != self.garbled_by_all
+    }
+
+    /// What a missing answer may be due to, where an echo was told of: an answer of the command's own
+    /// bytes counts as the echo, also where none comes.
+    pub(super) fn echo_told_of(&mut self) -> &'static str {
+        match self.master.master().config().bus {
+            Bus::Rs485 { echo: true, .. } => {
+                " (if the adapter does not hand back what it sends, leave ',echo' away)"
+            }
+            _ => "",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::ReadStatus1;
+    use myactuator_protocol_core::io::SerialMaster;
+    use myactuator_protocol_core::master::Config;
+
+    use super::*;
+
+    #[test]
+    fn an_error_of_level_one_asks_for_a_restart_and_one_of_level_two_for_patience() {
+        let session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
+        let told = |errors| match session.healthy(MotorId::MIN, errors) {
+            Err(Unfinished::Failed(sentence)) => sentence,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(session.healthy(MotorId::MIN, ErrorFlags::empty()), Ok(()));
+        let stall = told(ErrorFlags::STALL);
+        assert!(stall.starts_with("motor 1 reports an error (motor stalled): "), "{stall}");
+        let reset = "restart the motor: 'myactuator reset --bus sim:1 --id 1' (0x76)";
+        assert!(stall.contains(reset), "{stall}");
+        let low = told(ErrorFlags::UNDER_VOLTAGE);
+        assert!(low.contains("by itself") && !low.contains("restart"), "{low}");
+    }
+
+    /// What is told of this motor, of which nobody gets an answer.
+    fn told_of(fleet: &Fleet, id: u8) -> String {
+        let fleet = fleet.on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let outcome = session.standing(MotorId::new(id).unwrap());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        told
+    }
+
+    #[test]
+    fn of_two_motors_that_answer_at_once_on_a_line_it_is_told_that_something_comes() {
+        let hint =
+            "bytes come that are no frame (do two motors have one id? connect only one of them)";
+        let both = told_of(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
+        assert!(both.ends_with(hint), "{both}");
+        let nobody = told_of(&Fleet::new(1), 2);
+        assert!(nobody.ends_with("is this its id?"), "{nobody}");
+    }
+
+    #[test]
+    fn where_nobody_was_heard_the_adapter_may_be_of_the_other_kind() {
+        for (address, other) in [
+            ("rs485:/dev/ttyUSB0@115200", "speaks SLCAN, name it slcan:/dev/ttyUSB0@1000000"),
+            ("slcan:/dev/ttyACM0@500000", "is for RS485, name it rs485:/dev/ttyACM0@115200"),
+        ] {
+            let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+            let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+            session.address = address.parse().unwrap();
+            let other = format!("; if the adapter {other}");
+            let nobody = session.nobody();
+            let silent = session.standing(MotorId::new(2).unwrap());
+            session.standing(MotorId::MIN).unwrap();
+            let later = session.standing(MotorId::new(2).unwrap());
+            for (outcome, is_told) in [(Err(nobody), true), (silent, true), (later, false)] {
+                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+                assert_eq!(told.ends_with(&other), is_told, "{told}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_an_answer_counts_as_one() {
+        let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
+        let config = Config::rs485(115_200, true);
+        let master = SerialMaster::new(world.port(), world.clock(), config);
+        let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+        session.ask(MotorId::MIN, ReadStatus1).unwrap();
+        let outcome = session.release_brake(MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("leave ',echo' away"), "{told}");
+        assert!(told.ends_with("its brake may be open all the same"), "{told}");
+    }
+}
