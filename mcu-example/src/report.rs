@@ -91,7 +91,7 @@ pub enum Trouble {
         /// The date of its software.
         version_date: VersionDate,
     },
-    /// A motor reports errors.
+    /// A motor reports errors, so that it holds nothing: its brake is told to lock.
     Errors {
         /// The motor.
         motor: MotorId,

@@ -9,7 +9,7 @@ mod setup;
 
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::AnyReply;
+use myactuator_protocol_core::command::{AnyReply, LockBrake};
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -84,6 +84,8 @@ pub struct App<const N: usize> {
     /// Those that are missed when they do not answer: the required ones, and whoever has answered anything
     /// since the start.
     expected: MotorSet,
+    /// Those that have reported an error: their brakes are to be told to lock.
+    to_lock: MotorSet,
     rounds: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors.
@@ -103,6 +105,7 @@ impl<const N: usize> App<N> {
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             motors: Vec::new(),
             expected: setup.required,
+            to_lock: MotorSet::EMPTY,
             rounds: Rounds::new(at.now),
             button: Button::new(),
             // Who restarts by itself was running, perhaps, and stops.
@@ -203,6 +206,12 @@ impl<const N: usize> App<N> {
     }
 
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
+        // Before anything else is asked. One that is being stopped gets it behind that.
+        for motor in self.to_lock.iter() {
+            if at.master.request(motor, LockBrake).is_ok() {
+                self.to_lock.remove(motor);
+            }
+        }
         match &mut self.state {
             State::Stopping { kind, waiting, unconfirmed, until } => {
                 if waiting.is_empty() || at.now >= *until {
@@ -355,7 +364,6 @@ impl<const N: usize> App<N> {
                 at.board.log(&Report::Found { motor, model, version_date });
                 None
             }
-            Answer::Errors(flags) if flags.is_empty() => None,
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
             Answer::Angle(angle) => {
                 self.motor(motor)?.angle = angle;
@@ -372,9 +380,12 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// Tells what is wrong and stops all motors. What is wrong while they are stopped already changes
-    /// nothing.
+    /// Tells what is wrong and stops all motors, unless they are stopped already.
     fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
+        if let Trouble::Errors { motor, .. } = trouble {
+            // Also then: it confirms a stop and holds nothing, and its brake may have been told to open.
+            self.to_lock.insert(motor);
+        }
         if matches!(self.state, State::Stopping { .. } | State::Stopped { .. }) {
             return;
         }
@@ -382,7 +393,8 @@ impl<const N: usize> App<N> {
         if trouble != Trouble::Button {
             self.may_start_at = at.now + STOPPED_BY_ITSELF;
         }
-        // A motor with an error has cut its output and locked its brake: the others are shut down all the same.
+        // A motor with an error has cut its output, and its brake is told to lock: the others are shut down all
+        // the same.
         let goes_on =
             matches!((&self.state, trouble), (State::ShuttingDown(_), Trouble::Errors { .. }));
         if !goes_on {

@@ -40,7 +40,7 @@ pub(super) enum Question {
 pub(super) enum Answer {
     /// None came, or none that can be read.
     None,
-    /// It was done.
+    /// It was done, or nothing is wrong.
     Done,
     Version(VersionDate),
     Model(ModelName),
@@ -96,7 +96,10 @@ impl Question {
                 Answer::Version(ReadVersionDate::decode_reply(data).ok()?.version_date)
             }
             Self::Model => Answer::Model(ReadModel::decode_reply(data).ok()?.model),
-            Self::Errors => Answer::Errors(ReadStatus1::decode_reply(data).ok()?.errors),
+            Self::Errors => match ReadStatus1::decode_reply(data).ok()?.errors {
+                errors if errors.is_empty() => Answer::Done,
+                errors => Answer::Errors(errors),
+            },
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Protection
@@ -117,8 +120,10 @@ const PROTECT: &[Question] = &[Question::Protection];
 const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
 /// A shaft whose brake is open falls unless its motor holds it, which one does not after a shutdown or a
 /// restart of its own. It is told so at once, before the brake has opened: behind a locked one a stop may
-/// do nothing.
-const RELEASE: &[Question] = &[Question::ReleaseBrake, Question::Hold];
+/// do nothing. One with an error obeys the first and not the second: it is asked before, and again for what
+/// came in between.
+const RELEASE: &[Question] =
+    &[Question::Errors, Question::ReleaseBrake, Question::Hold, Question::Errors];
 const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
 const LOCK: &[Question] = &[Question::LockBrake];
@@ -213,13 +218,14 @@ impl Script {
         }
     }
 
-    /// The answer, if the event brings it. A motor that does not answer is not asked further.
+    /// The answer, if the event brings it. A motor that does not answer or has an error is not asked further.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let asked = self.asked?;
         let answer = self.questions.get(self.next)?.answer(asked, event)?;
         self.asked = None;
         self.next += 1;
-        if answer == Answer::None || self.next == self.questions.len() {
+        let is_amiss = matches!(answer, Answer::None | Answer::Errors(_));
+        if is_amiss || self.next == self.questions.len() {
             self.left.remove(asked.motor());
             self.next = 0;
         }

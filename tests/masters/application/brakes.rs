@@ -1,18 +1,24 @@
 //! What holds a shaft whose brake opens.
 
+use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_host_std::sim::{BusFleet, Fleet};
-use myactuator_mcu_example::{Report, StateName};
-use myactuator_protocol_core::command::BrakeCommand;
+use myactuator_mcu_example::{Moment, Report, StateName, Trouble};
+use myactuator_protocol_core::command::{AnyReply, BrakeCommand, ErrorFlags, Status1};
+use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::Event;
+use myactuator_protocol_core::units::{Temperature, Voltage};
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
-use myactuator_tests::values::millis;
+use myactuator_tests::values::{id, millis};
 
-use super::{Firmware, Moved, Panel};
+use super::{Firmware, Moved, Panel, angle_deg};
 
 on_both_buses! {
     after_a_shutdown_no_brake_opens_before_its_motor_holds
     after_a_motor_restarted_its_brake_does_not_open_before_it_holds
+    no_load_falls_where_an_error_comes_while_brakes_open
+    whoever_has_an_error_locks_its_brake_also_when_all_are_stopped
 }
 
 /// Longer than two commands to a motor take, shorter than any brake takes to open: 50 ms and more.
@@ -60,4 +66,58 @@ fn after_a_motor_restarted_its_brake_does_not_open_before_it_holds<B: Moved>() {
     });
     firmware.run_for(millis(1_000));
     is_always_held(&mut firmware, &bus);
+}
+
+/// Motors with a slow brake, if any, and a heavy arm each, stretched out.
+fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    let arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: -90.0 };
+    let load = Load { arm: Some(arm), ..Load::NONE };
+    B::drives(&Fleet::new(motors).brakes(brakes).quirks(quirks).load(load)).unwrap()
+}
+
+/// The drive obeys 0x77 whatever its errors, and holds nothing behind that.
+fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
+    let falls = |motors: u8, after_ms: u64| {
+        let bus = loaded::<B>(motors, true);
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        firmware.run_for(millis(1_500));
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+        firmware.run_for(millis(after_ms));
+        let last = &bus.drives[usize::from(motors) - 1];
+        last.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        let before_deg = angle_deg(last);
+        firmware.run_for(millis(600));
+        let trouble = Trouble::Errors { motor: id(motors), flags: ErrorFlags::STALL };
+        assert_eq!(firmware.troubles(), [trouble], "after {after_ms} ms");
+        (angle_deg(last) - before_deg).abs() > 3.0
+    };
+    // Before any brake has opened: later a load falls until that has locked again, whoever locks it.
+    for (motors, step) in [(1, 1), (8, 5)] {
+        let fallen: Vec<u64> = (0..50).step_by(step).filter(|&ms| falls(motors, ms)).collect();
+        assert!(fallen.is_empty(), "{motors} motors, error after {fallen:?} ms");
+    }
+}
+
+fn whoever_has_an_error_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let mut firmware = Firmware::running(&bus);
+    firmware.press(millis(50));
+    firmware.run_for(millis(500));
+    let failed = Status1 {
+        temperature: Temperature::from_raw(40),
+        mosfet_temperature: Temperature::from_raw(40),
+        brake: BrakeCommand::RELEASE,
+        voltage: Voltage::from_raw(480),
+        errors: ErrorFlags::STALL,
+    };
+    let Firmware { runner, app, panel, .. } = &mut firmware;
+    let at = &mut Moment { now: runner.now(), master: runner.master(), board: panel };
+    let report = Event::Report { motor: id(2), reply: AnyReply::ReadStatus1(failed) };
+    app.handle_event(&report, at);
+    firmware.run_for(millis(100));
+    let brakes = bus.drives.iter().map(|drive| state(drive).brake);
+    assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
