@@ -6,6 +6,7 @@ mod path;
 mod rounds;
 mod script;
 mod setup;
+mod state;
 
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
@@ -18,8 +19,9 @@ use self::motor::Motor;
 use self::rounds::Rounds;
 use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
+use self::state::State;
 use crate::board::{Board, RestartCause, Usage};
-use crate::report::{Report, StateName, Trouble};
+use crate::report::{Report, Trouble};
 
 /// How long a stop is waited for before whoever has not confirmed it is reported, and all are told to stop once
 /// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
@@ -38,30 +40,6 @@ const SEEN_WITHIN: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
 /// Whoever presses the button so soon after the motors were stopped by something else meant to stop them.
 const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
-
-/// The state, with what belongs to it.
-#[derive(Debug)]
-enum State {
-    Stopping { kind: StopKind, waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
-    Stopped { kind: StopKind, unconfirmed: MotorSet, again: Instant },
-    Finding(Script),
-    Preparing(Script),
-    Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
-    ShuttingDown(Script),
-}
-
-impl State {
-    fn name(&self) -> StateName {
-        match self {
-            Self::Stopping { .. } => StateName::Stopping,
-            Self::Stopped { .. } => StateName::Stopped,
-            Self::Finding(_) => StateName::Finding,
-            Self::Preparing(_) => StateName::Preparing,
-            Self::Running { .. } => StateName::Running,
-            Self::ShuttingDown(_) => StateName::ShuttingDown,
-        }
-    }
-}
 
 /// What the application works with at one moment.
 #[derive(Debug)]

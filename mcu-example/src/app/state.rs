@@ -1,0 +1,31 @@
+//! What is under way.
+
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::Instant;
+
+use super::script::Script;
+use crate::report::StateName;
+
+/// The state, with what belongs to it.
+#[derive(Debug)]
+pub(super) enum State {
+    Stopping { kind: StopKind, waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
+    Stopped { kind: StopKind, unconfirmed: MotorSet, again: Instant },
+    Finding(Script),
+    Preparing(Script),
+    Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
+    ShuttingDown(Script),
+}
+
+impl State {
+    pub(super) fn name(&self) -> StateName {
+        match self {
+            Self::Stopping { .. } => StateName::Stopping,
+            Self::Stopped { .. } => StateName::Stopped,
+            Self::Finding(_) => StateName::Finding,
+            Self::Preparing(_) => StateName::Preparing,
+            Self::Running { .. } => StateName::Running,
+            Self::ShuttingDown(_) => StateName::ShuttingDown,
+        }
+    }
+}
