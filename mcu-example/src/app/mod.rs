@@ -10,14 +10,14 @@ mod state;
 
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AnyReply, LockBrake};
+use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use self::button::{Button, Press};
 use self::motor::Motor;
 use self::rounds::Rounds;
-use self::script::{Answer, Script, Step};
+use self::script::{Answer, Question, Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::state::State;
 use crate::board::{Board, RestartCause, Usage};
@@ -186,7 +186,7 @@ impl<const N: usize> App<N> {
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
         // Before anything else is asked. One that is being stopped gets it behind that.
         for motor in self.to_lock.iter() {
-            if at.master.request(motor, LockBrake).is_ok() {
+            if Question::LockBrake.ask(motor, &self.setup, at.master).is_ok() {
                 self.to_lock.remove(motor);
             }
         }
