@@ -184,11 +184,9 @@ impl<const N: usize> App<N> {
     }
 
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
-        // Before anything else is asked. One that is being stopped gets it behind that.
-        for motor in self.to_lock.iter() {
-            if Question::LockBrake.ask(motor, &self.setup, at.master).is_ok() {
-                self.to_lock.remove(motor);
-            }
+        // To look through all ids would take some 200 instructions a cycle.
+        if !self.to_lock.is_empty() {
+            self.lock_brakes(at);
         }
         match &mut self.state {
             State::Stopping { kind, waiting, unconfirmed, until } => {
@@ -227,6 +225,15 @@ impl<const N: usize> App<N> {
         // In every state, and also to those whose firmware nobody has asked for yet: a motor that hears
         // nothing lets go.
         self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
+    }
+
+    /// Before anything else is asked. One that is being stopped gets it behind that.
+    fn lock_brakes(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        for motor in self.to_lock.iter() {
+            if Question::LockBrake.ask(motor, &self.setup, at.master).is_ok() {
+                self.to_lock.remove(motor);
+            }
+        }
     }
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
