@@ -119,6 +119,12 @@ pub enum Trouble {
         /// The motor.
         motor: MotorId,
     },
+    /// A motor's shaft turns although its brake was told to lock, as one does that has no brake and a load once
+    /// its output is off. It is told to hold again.
+    Turns {
+        /// The motor.
+        motor: MotorId,
+    },
     /// The master does not take a command for a motor.
     Refused {
         /// The motor.
@@ -142,6 +148,6 @@ pub enum StateName {
     Preparing,
     /// Moves the motors.
     Running,
-    /// Locks brakes and switches outputs off.
+    /// Locks brakes and switches outputs off, and looks whether the shafts stand then.
     ShuttingDown,
 }

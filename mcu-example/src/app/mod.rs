@@ -171,8 +171,8 @@ impl<const N: usize> App<N> {
                 self.enter(State::Finding(Script::find(all, at.now)), at);
             }
             (State::Stopped { .. }, Press::Long) => {
-                let all = self.expected;
-                self.enter(State::ShuttingDown(Script::shut_down(all, at.now)), at);
+                let script = Script::shut_down(self.expected, at.now);
+                self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
             // The press that stops, or comes while motors are being stopped, is used up: letting go does
             // not start anything.
@@ -209,7 +209,9 @@ impl<const N: usize> App<N> {
                     let _ = at.master.stop_all(*kind, *unconfirmed);
                 }
             }
-            State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
+            State::Finding(script)
+            | State::Preparing(script)
+            | State::ShuttingDown { script, .. } => {
                 match script.go_on(&self.setup, at.master, at.now) {
                     Step::Waiting => {}
                     Step::Refused(motor) => self.trouble(Trouble::Refused { motor }, at),
@@ -246,10 +248,20 @@ impl<const N: usize> App<N> {
                 at.master.lift_stop();
                 self.enter(State::Preparing(Script::prepare(self.found(), at.now)), at);
             }
-            State::ShuttingDown(script) => match script.next_of_shutting_down(at.now) {
-                Some(next) => self.state = State::ShuttingDown(next),
-                None => self.stop(StopKind::Off, at),
-            },
+            State::ShuttingDown { script, turning } => {
+                let turning = *turning;
+                match script.next_of_shutting_down(self.expected, turning, at.now) {
+                    Some(script) => {
+                        if !turning.is_empty() {
+                            // As above: brakes are to open.
+                            at.master.lift_stop();
+                        }
+                        self.state = State::ShuttingDown { script, turning };
+                    }
+                    None if turning.is_empty() => self.stop(StopKind::Off, at),
+                    None => self.stop(StopKind::Hold, at),
+                }
+            }
             State::Preparing(script) => {
                 match script.next_of_preparing(&self.setup, self.found(), at.now) {
                     Some(next) => self.state = State::Preparing(next),
@@ -309,9 +321,9 @@ impl<const N: usize> App<N> {
     /// The outcome of a request: that of the rounds or the script's.
     fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         let answer = self.rounds.take(event).or_else(|| match &mut self.state {
-            State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
-                script.take(event)
-            }
+            State::Finding(script)
+            | State::Preparing(script)
+            | State::ShuttingDown { script, .. } => script.take(event),
             _ => None,
         });
         let Some((motor, answer)) = answer else { return };
@@ -350,6 +362,7 @@ impl<const N: usize> App<N> {
                 None
             }
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
+            Answer::Turns => Some(Trouble::Turns { motor }),
             Answer::Angle(angle) => {
                 self.motor(motor)?.angle = angle;
                 None
@@ -378,13 +391,15 @@ impl<const N: usize> App<N> {
         if trouble != Trouble::Button {
             self.may_start_at = at.now + STOPPED_BY_ITSELF;
         }
-        // A motor with an error has cut its output, and its brake is told to lock: the others are shut down all
-        // the same.
-        let goes_on =
-            matches!((&self.state, trouble), (State::ShuttingDown(_), Trouble::Errors { .. }));
-        if !goes_on {
+        match (&mut self.state, trouble) {
+            // It has cut its output, and its brake is told to lock: the others are shut down all the same.
+            (State::ShuttingDown { .. }, Trouble::Errors { .. }) => {}
+            // It holds again once all were looked at.
+            (State::ShuttingDown { turning, .. }, Trouble::Turns { motor }) => {
+                turning.insert(motor)
+            }
             // Also while they are being shut down: with a brake that is not locked, off is no stop.
-            self.stop(self.setup.stop, at);
+            _ => self.stop(self.setup.stop, at),
         }
     }
 

@@ -2,11 +2,11 @@
 
 use myactuator_protocol_core::command::{
     Command, CommunicationLossProtection, ErrorFlags, FunctionControl, LockBrake, ModelName,
-    ReadModel, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Stop,
-    Switch, VersionDate,
+    ReadModel, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadStatus2, ReadVersionDate,
+    ReleaseBrake, Shutdown, Stop, Switch, VersionDate,
 };
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
+use myactuator_protocol_core::io::bring_up::{BRAKE_MOVES, turns};
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Angle;
@@ -16,6 +16,10 @@ use super::Setup;
 
 /// How long a write, which may be one to ROM, is waited for. A second time does no harm here.
 const WRITE: Patience = Patience { reply_timeout: Duration::from_millis(50), attempts: 3 };
+
+/// For how long a shaft falls that nothing holds any more before it is looked at: it turns by then, and has not
+/// come far.
+const FALLS: Duration = Duration::from_millis(50);
 
 /// What a motor is asked or told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +37,10 @@ pub(super) enum Question {
     Home,
     RunTime,
     LockBrake,
+    /// Whether its shaft stands.
+    Stands,
+    /// Output off.
+    Off,
 }
 
 /// What came of it.
@@ -47,6 +55,8 @@ pub(super) enum Answer {
     Errors(ErrorFlags),
     Angle(Angle),
     Home(Angle),
+    /// Its shaft does not stand.
+    Turns,
 }
 
 impl Question {
@@ -76,6 +86,8 @@ impl Question {
             Self::Angle | Self::Home => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
             Self::RunTime => master.request(motor, ReadRunTime).map(|t| t.id()),
             Self::LockBrake => master.request(motor, LockBrake).map(|t| t.id()),
+            Self::Stands => master.request(motor, ReadStatus2).map(|t| t.id()),
+            Self::Off => master.request(motor, Shutdown).map(|t| t.id()),
         }
     }
 
@@ -102,13 +114,16 @@ impl Question {
             },
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
+            Self::Stands if turns(ReadStatus2::decode_reply(data).ok()?.speed) => Answer::Turns,
             Self::Protection
             | Self::ErrorReports
             | Self::Hold
             | Self::ReleaseBrake
             // The master sees in it whether the motor has restarted.
             | Self::RunTime
-            | Self::LockBrake => Answer::Done,
+            | Self::LockBrake
+            | Self::Stands
+            | Self::Off => Answer::Done,
         };
         Some(answer)
     }
@@ -127,7 +142,8 @@ const RELEASE: &[Question] =
 const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
 const LOCK: &[Question] = &[Question::LockBrake];
-const WAIT: &[Question] = &[];
+const SWITCH_OFF: &[Question] = &[Question::Stands, Question::Off];
+const LOOK_AGAIN: &[Question] = &[Question::Stands];
 
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -184,10 +200,19 @@ impl Script {
         Self::new(LOCK, motors, now)
     }
 
-    /// What comes next in shutting down: until the brakes hold, the outputs may have to.
-    pub(super) fn next_of_shutting_down(&self, now: Instant) -> Option<Self> {
+    /// What comes next in shutting down these motors: until the brakes hold, the outputs may have to. Those that
+    /// turn behind a brake, or without one once they are off, are to hold their loads again.
+    pub(super) fn next_of_shutting_down(
+        &self,
+        motors: MotorSet,
+        turning: MotorSet,
+        now: Instant,
+    ) -> Option<Self> {
         match self.questions {
-            LOCK => Some(Self::new(WAIT, MotorSet::EMPTY, now + BRAKE_MOVES)),
+            LOCK => Some(Self::new(SWITCH_OFF, motors, now + BRAKE_MOVES)),
+            RELEASE => None,
+            _ if !turning.is_empty() => Some(Self::new(RELEASE, turning, now)),
+            SWITCH_OFF => Some(Self::new(LOOK_AGAIN, motors, now + FALLS)),
             _ => None,
         }
     }
@@ -218,13 +243,13 @@ impl Script {
         }
     }
 
-    /// The answer, if the event brings it. A motor that does not answer or has an error is not asked further.
+    /// The answer, if the event brings it. A motor with which anything is wrong is not asked further.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let asked = self.asked?;
         let answer = self.questions.get(self.next)?.answer(asked, event)?;
         self.asked = None;
         self.next += 1;
-        let is_amiss = matches!(answer, Answer::None | Answer::Errors(_));
+        let is_amiss = matches!(answer, Answer::None | Answer::Errors(_) | Answer::Turns);
         if is_amiss || self.next == self.questions.len() {
             self.left.remove(asked.motor());
             self.next = 0;

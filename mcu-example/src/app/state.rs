@@ -14,7 +14,7 @@ pub(super) enum State {
     Finding(Script),
     Preparing(Script),
     Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
-    ShuttingDown(Script),
+    ShuttingDown { script: Script, turning: MotorSet },
 }
 
 impl State {
@@ -25,7 +25,7 @@ impl State {
             Self::Finding(_) => StateName::Finding,
             Self::Preparing(_) => StateName::Preparing,
             Self::Running { .. } => StateName::Running,
-            Self::ShuttingDown(_) => StateName::ShuttingDown,
+            Self::ShuttingDown { .. } => StateName::ShuttingDown,
         }
     }
 }

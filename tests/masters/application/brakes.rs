@@ -1,18 +1,20 @@
 //! What holds a shaft whose brake opens.
 
+use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{Moment, Report, StateName, Trouble};
 use myactuator_protocol_core::command::{AnyReply, BrakeCommand, ErrorFlags, Status1};
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::Event;
+use myactuator_protocol_core::master::{Event, MotorSet};
 use myactuator_protocol_core::units::{Temperature, Voltage};
+use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::{Firmware, Moved, Panel, angle_deg};
+use super::{Firmware, Moved, Panel, angle_deg, unplug};
 
 on_both_buses! {
     after_a_shutdown_no_brake_opens_before_its_motor_holds
@@ -20,6 +22,10 @@ on_both_buses! {
     no_load_falls_where_an_error_comes_while_brakes_open
     no_brake_is_told_to_open_whose_motor_has_an_error
     whoever_has_an_error_locks_its_brake_also_when_all_are_stopped
+    no_load_falls_in_a_shutdown
+    who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding
+    what_would_fall_in_a_shutdown_is_held_again
+    no_brake_of_a_motor_with_an_error_opens_in_a_shutdown
 }
 
 /// Longer than two commands to a motor take, shorter than any brake takes to open: 50 ms and more.
@@ -144,4 +150,106 @@ fn whoever_has_an_error_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
     let brakes = bus.drives.iter().map(|drive| state(drive).brake);
     assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
     assert_eq!(firmware.troubles(), [Trouble::Button]);
+}
+
+/// A firmware whose motors have run and hold, about to be shut down; and where their shafts are.
+fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, Vec<f64>) {
+    let mut firmware = Firmware::running(bus);
+    firmware.run_for(millis(500));
+    firmware.press(millis(50));
+    firmware.run_for(millis(1_500));
+    firmware.forget();
+    (firmware, bus.drives.iter().map(angle_deg).collect())
+}
+
+fn is_off(drive: &DriveHandle) -> bool {
+    !state(drive).output_on
+}
+
+/// How far each has fallen.
+fn fallen_deg<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64]) -> Vec<f64> {
+    bus.drives.iter().zip(before_deg).map(|(drive, before)| before - angle_deg(drive)).collect()
+}
+
+#[track_caller]
+fn has_none_fallen<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64], most_deg: f64) {
+    let fallen = fallen_deg(bus, before_deg);
+    assert!(fallen.iter().all(|fallen| fallen.abs() < most_deg), "fallen by {fallen:?} degrees");
+}
+
+fn no_load_falls_in_a_shutdown<B: Moved>() {
+    let bus = loaded::<B>(4, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    firmware.press(millis(1_100));
+    firmware.run_for(millis(1_000));
+    assert!(bus.drives.iter().all(is_off));
+    assert_eq!(firmware.troubles(), []);
+    has_none_fallen(&bus, &before_deg, 0.5);
+}
+
+/// It is back before the outputs would be switched off.
+fn who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    firmware.panel.is_button_down = true;
+    firmware.run_until(Report::State(StateName::ShuttingDown), millis(1_100));
+    firmware.panel.is_button_down = false;
+    unplug(&bus, &bus.drives[1]);
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(150));
+    bus.world.mend(bus.drives[1].station());
+    firmware.run_for(millis(1_000));
+    assert!(!is_off(&bus.drives[1]));
+    has_none_fallen(&bus, &before_deg, 0.5);
+}
+
+/// Two brakes of three slip, or nobody has one.
+fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
+    // Behind a brake nobody looks before it has had the time to lock; who has none is switched off.
+    for (brakes, falling, most_deg, off) in [(true, 1..3, 40.0, 1), (false, 0..3, 15.0, 3)] {
+        let bus = loaded::<B>(3, brakes);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        let log = bus.world.log();
+        for drive in &bus.drives[falling.clone()] {
+            drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        }
+        firmware.press(millis(1_100));
+        firmware.run_for(millis(1_000));
+        let told = falling.clone().map(|index| Trouble::Turns { motor: bus.drives[index].motor() });
+        assert_eq!(firmware.troubles(), told.collect::<Vec<_>>(), "brakes: {brakes}");
+        let end =
+            [Report::Stopped { unconfirmed: MotorSet::EMPTY }, Report::State(StateName::Stopped)];
+        assert!(firmware.panel.reports.ends_with(&end), "{:?}", firmware.panel.reports);
+        assert!(bus.drives[falling].iter().all(|drive| !is_off(drive)));
+        has_none_fallen(&bus, &before_deg, most_deg);
+        let is_told_off = |record: &trace::Record<B::Frame>| match &record.event {
+            trace::Event::Carried { frame, .. } => {
+                B::packet(&mut Receiver::new(), frame, true).is_some_and(|it| it.data[0] == 0x80)
+            }
+            _ => false,
+        };
+        // The command and its answer: nobody who turns is switched off.
+        assert_eq!(log.take().iter().filter(|record| is_told_off(record)).count(), 2 * off);
+        let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        firmware.stays_stopped();
+        has_none_fallen(&bus, &held_deg, 0.5);
+    }
+}
+
+/// Its motor would not hold behind that, so it is left to its brake even where that slips.
+fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    for drive in &bus.drives {
+        drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+    }
+    firmware.panel.is_button_down = true;
+    firmware.run_until(Report::State(StateName::ShuttingDown), millis(1_100));
+    firmware.panel.is_button_down = false;
+    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    stays_locked(&mut firmware, &bus.drives[0]);
+    let told = firmware.troubles();
+    assert!(told.contains(&Trouble::Turns { motor: id(1) }), "{told:?}");
+    // The other is held all the same.
+    assert!(!is_off(&bus.drives[1]));
+    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 40.0);
 }
