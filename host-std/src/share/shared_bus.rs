@@ -297,13 +297,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         Stopping { desk: Arc::clone(&self.0.desk), stop: self.desk().stop_all(kind, also) }
     }
 
-    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If
-    /// not: **cut its power**. One that a stop in force has switched off stays so: to hold it is confirmed by that, and
-    /// nothing holds it.
+    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and gives it if it has not confirmed it: **cut its
+    /// power**. One that a stop in force has switched off stays so: to hold it is confirmed by that, and nothing holds it.
     ///
     /// # Errors
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
-    pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
+    pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<MotorSet, SharedBusError<E>> {
         self.stop_since(motor, kind, None)
     }
 
@@ -313,9 +312,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         motor: MotorId,
         kind: StopKind,
         since: Option<Past>,
-    ) -> Result<bool, SharedBusError<E>> {
+    ) -> Result<MotorSet, SharedBusError<E>> {
         let desk = self.desk();
-        Ok(desk.wait_for_stop(desk.stop(motor, kind, since), motor.into())?.is_empty())
+        desk.wait_for_stop(desk.stop(motor, kind, since), motor.into())
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not

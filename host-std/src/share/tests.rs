@@ -41,7 +41,11 @@ fn turn(dps: f32) -> Speed {
 
 /// Drives in real time, and the bus that they are on.
 pub(super) fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
-    let fleet = Fleet::new(motors).on_can(1_000_000).unwrap();
+    shared_fleet(&Fleet::new(motors))
+}
+
+pub(super) fn shared_fleet(fleet: &Fleet) -> (CanFleet, SharedBus<CanError>) {
+    let fleet = fleet.on_can(1_000_000).unwrap();
     let world = fleet.world.clone().in_real_time();
     let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
     held_after(&bus, NOT_HELD);
@@ -178,7 +182,7 @@ fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
     bus.lift_stop().unwrap();
     bus.ask(id(1), turn(90.0)).unwrap();
     // One of them alone.
-    assert!(bus.stop(id(1), StopKind::Hold).unwrap());
+    assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
     assert!(bus.ask(id(1), turn(90.0)).is_err());
     bus.ask(id(2), turn(90.0)).unwrap();
     bus.lift_stop_of(id(1)).unwrap();
@@ -605,7 +609,7 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
         assert!(begun.elapsed() < 8 * HELD);
         told.into_iter().map(|outcome| outcome.err()).reduce(|one, other| one.and(other))?
     });
-    assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
+    assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), id(1).into());
     for _ in 0..4 {
         let told = told.recv_timeout(NOT_HELD).expect("an answer");
         assert!(matches!(told, Some(SharedBusError::Held)), "{told:?}");

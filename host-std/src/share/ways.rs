@@ -10,7 +10,7 @@ use myactuator_protocol_core::io::async_bring_up::{self, Calls};
 use myactuator_protocol_core::io::bring_up::{
     BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
 };
-use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Command, MotorId};
 
@@ -138,7 +138,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        self.bus.stop_since(motor, kind, Some(self.since)).unwrap_or(false)
+        self.bus.stop_since(motor, kind, Some(self.since)).is_ok_and(MotorSet::is_empty)
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
@@ -178,13 +178,14 @@ mod tests {
         AbsolutePosition, ReadMultiTurnAngle, ReadRunningMode, Shutdown,
     };
     use myactuator_protocol_core::io::bring_up::MoveFailure;
-    use myactuator_protocol_core::master::{Event, MotorSet};
+    use myactuator_protocol_core::master::Event;
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
     use super::*;
-    use crate::share::tests::{PANIC, fragile, id, shared};
+    use crate::share::tests::{PANIC, fragile, id, shared, shared_fleet};
     use crate::sim::Fleet;
     use crate::sim::bus::can::CanError;
+    use crate::sim::plant::Load;
 
     fn to(degrees: f32, dps: f32) -> AbsolutePosition {
         AbsolutePosition {
@@ -320,6 +321,21 @@ mod tests {
         bus.release_brake(id(1)).unwrap();
         let arrival = bus.move_to(id(1), to(90.0, 45.0), &MoveLimits::default(), go_on).unwrap();
         assert!((arrival.angle.degrees() - 90.0).abs() <= 0.2, "{}", arrival.angle);
+    }
+
+    /// It is opened again behind 0x78, which this way has sent itself.
+    #[test]
+    fn what_a_brake_does_not_hold_its_motor_holds_again() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true).load(load));
+        bus.release_brake(id(1)).unwrap();
+        fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        let told = bus.lock_brake(id(1));
+        assert!(matches!(told, Err(BringUpError::BrakeSlips { holds: true, .. })), "{told:?}");
+        let degrees = || bus.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
+        let held = degrees();
+        thread::sleep(time::Duration::from_millis(300));
+        assert!((degrees() - held).abs() < 1.0, "{held} and {}", degrees());
     }
 
     #[test]
