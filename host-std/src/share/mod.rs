@@ -45,9 +45,9 @@
 //!
 //! # Before it is shared
 //! A handle is no [`Runner`](myactuator_protocol_core::io::Runner), and
-//! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one, but for brakes and moves that are watched to their
-//! end ([`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
-//! [`move_to`](SharedBus::move_to)): first contact, zeroing, another
+//! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one, but for brakes, moves that are watched to their
+//! end and protection ([`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
+//! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect)): first contact, zeroing, another
 //! id, restarts. Do these on the master, and share it then. [`SharedBus::new`] takes any master;
 //! its calls wait for up to 1 ms more than those of [`SharedBus::open`]. Whoever opens the port, and so has its clock,
 //! is spared that by [`with_wake`](SharedBus::with_wake).

@@ -4,14 +4,16 @@ use std::fmt;
 use std::ops::ControlFlow;
 
 use embassy_futures::block_on;
+use myactuator_protocol_core::command::CommunicationLossProtection;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::CallError;
 use myactuator_protocol_core::io::async_bring_up::{self, Calls};
 use myactuator_protocol_core::io::bring_up::{
-    BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
+    BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived, Protection,
 };
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{Command, MotorId};
 
 use super::calls::{Insistence, Order};
@@ -84,6 +86,20 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
     pub fn lock_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
         block_on(async_bring_up::lock_brake(&mut Way::on(self, motor), motor))
+    }
+
+    /// Sets after how long without a command a motor stops by itself (0xB3), as
+    /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. Any thread that speaks to it is enough.
+    ///
+    /// # Errors
+    /// As [`ask`](Self::ask).
+    pub fn protect(
+        &self,
+        motor: MotorId,
+        timeout: Milliseconds,
+    ) -> Result<Protection, SharedBusError<E>> {
+        let told = self.ask(motor, CommunicationLossProtection { timeout })?.timeout;
+        Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
     }
 }
 
@@ -336,6 +352,17 @@ mod tests {
         let held = degrees();
         thread::sleep(time::Duration::from_millis(300));
         assert!((degrees() - held).abs() < 1.0, "{held} and {}", degrees());
+    }
+
+    #[test]
+    fn a_motor_is_told_to_stop_by_itself_when_nobody_speaks_to_it() {
+        let (fleet, bus) = shared(1);
+        let timeout = Milliseconds::from_raw(500);
+        assert_eq!(bus.protect(id(1), timeout).unwrap(), Protection::Confirmed);
+        let stored = fleet.drives[0].with(|drive| drive.stored_settings().protection_timeout);
+        assert_eq!(stored, timeout);
+        assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+        assert!(bus.protect(id(1), timeout).is_err(), "a stop refuses it");
     }
 
     #[test]
