@@ -1,20 +1,22 @@
 //! One bus for several threads: two motors moved at the same time, what the bus reports, a motor that restarts, and
-//! the stop of all.
+//! the stop of all, also by Ctrl-C.
 //!
 //! `cargo run -p myactuator-host-std --example threads`; behind `--`, another bus than a simulated one
 
 use std::error::Error;
 use std::ops::ControlFlow;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::{io, thread};
 
 use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::protocol::MotorId;
 use myactuator_host_std::protocol::command::{AbsolutePosition, ReadMultiTurnAngle, Reset};
 use myactuator_host_std::protocol::io::bring_up::{BringUpError, MoveLimits};
-use myactuator_host_std::protocol::master::{Event, StopKind};
+use myactuator_host_std::protocol::master::{Event, MotorSet, Patience, StopKind};
+use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed};
-use myactuator_host_std::share::{Guard, SharedBus, SharedBusError};
+use myactuator_host_std::share::{Guard, SharedBus};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 
 /// Errors that may come from another thread.
 type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
@@ -40,24 +42,35 @@ fn restart(bus: &SharedBus, motor: MotorId) -> Outcome<()> {
         Err(error) => return Err(error.into()),
     }
     bus.ask(motor, Reset)?;
-    let patience_ends = Instant::now() + Duration::from_secs(5);
-    let reading = loop {
-        // It starts for a second or so, and is silent meanwhile.
-        match bus.ask(motor, ReadMultiTurnAngle) {
-            Ok(reading) => break reading,
-            Err(SharedBusError::Failed { .. }) if Instant::now() < patience_ends => {}
-            Err(error) => return Err(error.into()),
-        }
-    };
+    // It starts for a second or so, and is silent meanwhile.
+    let patience = Patience { reply_timeout: Duration::from_millis(300), attempts: 15 };
+    let reading = bus.ask_with(motor, ReadMultiTurnAngle, patience)?;
     println!("motor {motor} says that it is at {}", reading.angle);
     bus.resume(motor)?;
     bus.release_brake(motor)?;
     reach(bus, motor, 10.0)
 }
 
+/// From now on Ctrl-C, a hang-up or a request to end stops all motors, so that whoever moves one is told, and leaves.
+fn stop_at_signals(bus: &SharedBus) -> io::Result<()> {
+    let mut signals = Signals::new([SIGINT, SIGHUP, SIGTERM])?;
+    // A handle would keep the bus running.
+    let bus = bus.downgrade();
+    thread::spawn(move || {
+        for _ in signals.forever() {
+            if let Some(bus) = bus.upgrade() {
+                // Who does not confirm it is reported.
+                let _stopping = bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY);
+            }
+        }
+    });
+    Ok(())
+}
+
 fn run(address: &BusAddress) -> Outcome<()> {
     let arm = [MotorId::new(1)?, MotorId::new(2)?];
     let bus = SharedBus::open(address, StopKind::Hold)?;
+    stop_at_signals(&bus)?;
 
     // Whoever is interested reads what the bus reports, in a thread that ends with the bus.
     let events = bus.subscribe(1000);
@@ -105,8 +118,18 @@ fn main() -> Outcome<()> {
 }
 
 #[test]
-fn it_runs_on_either_bus() {
+fn it_runs_on_either_bus_until_somebody_ends_it() {
     for address in ["sim:2", "sim:2,rs485"] {
         run(&address.parse().unwrap()).unwrap();
+    }
+    for signal in [SIGINT, SIGHUP, SIGTERM] {
+        let bus = SharedBus::open(&"sim:1".parse().unwrap(), StopKind::Hold).unwrap();
+        stop_at_signals(&bus).unwrap();
+        thread::spawn(move || {
+            thread::sleep(std::time::Duration::from_millis(300));
+            signal_hook::low_level::raise(signal).unwrap();
+        });
+        let ended = reach(&bus, MotorId::MIN, 3_600.0).unwrap_err();
+        assert!(ended.to_string().contains("the motors were stopped"), "{signal}: {ended}");
     }
 }

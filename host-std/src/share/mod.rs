@@ -83,7 +83,9 @@
 //!
 //! Nobody stops the motors of a program that is killed, aborts, calls `exit`, is ended by a signal (Ctrl-C) that it does
 //! not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**: that ends all threads where
-//! they are. Join them first. For the rest set the motors' communication-loss protection (0xB3).
+//! they are. Join them first. A thread that waits for signals stops the motors by
+//! [`begin_stop_all`](SharedBus::begin_stop_all), as the example `threads` has it. For the rest set the motors'
+//! communication-loss protection (0xB3).
 //!
 //! An error of the bus is told to all who wait for an answer, and to all who ask or move a motor until it works again; if
 //! it does so before anybody was told, to whoever comes next. A command that ends motion is taken all the same. The
