@@ -89,7 +89,7 @@ impl From<Failure> for Why {
         match failure {
             Failure::NoReply => Self::NoReply,
             Failure::NotExecuted => Self::NotExecuted,
-            Failure::Stopped => Self::Stopped,
+            Failure::Stopped | Failure::StopUnconfirmed => Self::Stopped,
             Failure::BusDown => Self::BusDown,
             _ => Self::Other,
         }
@@ -280,11 +280,14 @@ impl Oracle {
                     truth.is_let_go(motor);
                 }
                 let page = &truth.pages[motor.index()];
-                // A stop that was given up goes again whatever was asked meanwhile.
                 page.stop_called.max(page.may_be_stopping_since) > of.put
-                    || page.was_given_up && page.may_be_stopping
                     || is_move(&open.data) && page.ended_with_all > of.put
                     || was_held
+            }
+            // A stop that was given up goes again whatever was asked meanwhile.
+            Failure::StopUnconfirmed => {
+                let page = &truth.pages[motor.index()];
+                page.was_given_up && page.may_be_stopping
             }
             // It says that the command was dropped. Where it may be asked again, the last attempt was.
             Failure::BusDown => {

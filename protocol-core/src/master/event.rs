@@ -103,10 +103,13 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. The stop may
-    /// be an earlier one that the motor [has not confirmed](Event::StopUnconfirmed) and that goes once more now.
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out.
     #[error("the motors were stopped first")]
     Stopped,
+    /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, a read's for example: it goes
+    /// once more every 100 ms or so, before anything else. The motor is silent, or was until now.
+    #[error("the motor is silent: it has not confirmed the stop, which went once more before this")]
+    StopUnconfirmed,
     /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
     /// not done at its first poll every request ends so.
     #[error("the bus carried nothing, so the command was dropped")]

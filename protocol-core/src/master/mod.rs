@@ -337,6 +337,7 @@ fn take_news(motor: &mut Motor, _: &Config) -> Option<Event> {
         motor.news.remove(news);
         return Some(match news {
             News::STOPPED => Event::Failed { ticket, failure: Failure::Stopped },
+            News::STOPPED_AGAIN => Event::Failed { ticket, failure: Failure::StopUnconfirmed },
             News::UNCONFIRMED => Event::StopUnconfirmed { motor: id },
             News::DROPPED => Event::SetPointDropped { motor: id },
             News::RESTARTED => Event::Restarted { motor: id },

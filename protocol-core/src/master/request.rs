@@ -250,7 +250,9 @@ impl<const N: usize> Master<N> {
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
         let place = self.place_for(motor)?;
         self.change_at(place, |motor, config| {
-            if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
+            if !motor.request.is_none()
+                || motor.news.intersects(News::STOPPED | News::STOPPED_AGAIN)
+            {
                 return Err(RequestError::Busy);
             }
             if kind.moves() && motor.note_restart_if_silent(config, now) {

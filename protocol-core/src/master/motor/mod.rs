@@ -43,6 +43,8 @@ bitflags! {
         const UNCONFIRMED = 1 << 3;
         /// The motor has restarted.
         const RESTARTED = 1 << 4;
+        /// A stop that it has not confirmed goes once more, and took the place of the caller's request.
+        const STOPPED_AGAIN = 1 << 5;
     }
 }
 

@@ -133,7 +133,10 @@ impl Motor {
             Request::Failed(_) => true,
         };
         if is_callers {
-            self.news.insert(News::STOPPED);
+            self.news.insert(match stop.purpose {
+                Purpose::StopAgain => News::STOPPED_AGAIN,
+                _ => News::STOPPED,
+            });
         }
         if self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);

@@ -138,7 +138,10 @@ impl Run {
                 Event::BroadcastDone { was_sent: false, .. } => {
                     self.told.iter_mut().for_each(|told| told.off &= told.off_in_force);
                 }
-                Event::Failed { ticket, failure: Failure::BusDown | Failure::Stopped } => {
+                Event::Failed {
+                    ticket,
+                    failure: Failure::BusDown | Failure::Stopped | Failure::StopUnconfirmed,
+                } => {
                     let told = &mut self.told[index(ticket.motor())];
                     told.off &= told.off_in_force;
                 }

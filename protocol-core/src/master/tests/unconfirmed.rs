@@ -62,6 +62,27 @@ fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
     assert_eq!(events(&mut master, ms(now + 1)), []);
 }
 
+/// Its stop goes again meanwhile. Nobody else has stopped it.
+#[test]
+fn who_asks_a_motor_that_has_not_confirmed_its_stop_is_told_that_it_is_silent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    let from = is_given_up(&mut master, 1, 0);
+    let (mut ticket, mut answers) = (None, Vec::new());
+    for now in from..from + 2_000 {
+        sent(&mut master, ms(now));
+        let of_it = |event: &Event| ticket.and_then(|it: Ticket<ReadStatus1>| it.outcome(event));
+        let told = events(&mut master, ms(now)).iter().find_map(of_it);
+        if told.is_some() {
+            (ticket, answers) = (None, [answers, told.into_iter().collect()].concat());
+        }
+        ticket = ticket.or_else(|| master.request(id(1), ReadStatus1).ok());
+    }
+    assert!(answers.len() >= 15, "{}", answers.len());
+    let is_silent = |it: &_| matches!(it, Err(Failure::NoReply | Failure::StopUnconfirmed));
+    assert!(answers.iter().all(is_silent), "{answers:?}");
+}
+
 #[test]
 fn who_confirms_no_stop_is_forgotten_all_the_same() {
     for is_in_flight in [false, true] {
