@@ -20,7 +20,9 @@ use crate::time::Instant;
 /// `select` or a time-out: no event is lost and no frame is sent twice. A request whose
 /// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end. But what a stop
 /// [would refuse](crate::Kind::is_refused_while_stopped), such as a move, is not sent from then on: who knows when the
-/// bus moves next?
+/// bus moves next? One that the bus has taken already is carried out, as [`Master::withdraw`] has it: stop the motor.
+///
+/// Of other events it is as with [`Runner`](crate::io::Runner): a call that waits passes them over.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
 pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports when it fails.

@@ -38,7 +38,8 @@ use crate::time::Instant;
 ///
 /// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second would be
 /// stopped after that, where the first is cut. [`Guards`] stop several at the same time. Firmware whose watchdog does not
-/// wait for so long calls [`Master::stop_all`] and goes on with its loop, which tells who has confirmed.
+/// wait for so long calls [`Master::stop_all`] and goes on with its loop, which tells who has confirmed, for as long as it
+/// says itself: while the bus takes nothing there is no event, not even that nobody has.
 ///
 /// **Who has not confirmed may be obeying what still lies in a controller when its power comes back**, or its cable: cut
 /// its power, and before that comes back go on running the bus, with the stop in force, or reset the controller (Linux:
@@ -101,16 +102,25 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 /// that is cut holds up no other. A driver that keeps its loop, such as a serial port that takes nothing, does: name it last,
 /// or give it a thread. It is used as the array of the loops; one that is swapped for another is guarded no more.
 ///
+/// A bus sends while it is run only: in each cycle all send before any waits, or all but the first are a cycle late. RS485
+/// lines of several motors, which carry one exchange at a time, want a thread or a task each.
+///
 /// ```no_run
 /// # use myactuator_protocol_core::command::Torque;
 /// # use myactuator_protocol_core::io::{CallError, Guards, Runner};
-/// # use myactuator_protocol_core::{MotorId, master::StopKind};
+/// # use myactuator_protocol_core::{MotorId, master::StopKind, time::Duration};
 /// # fn walk<R: Runner<4>>(legs: [&mut R; 3], motor: MotorId, torque: Torque) -> Result<(), CallError<R::Error>> {
 /// let mut legs = Guards::new(legs, StopKind::Hold);
+/// // A cycle. Each has its own clock.
+/// let next = legs.each_ref().map(|leg| leg.now() + Duration::from_millis(2));
 /// for leg in legs.iter_mut() {
 ///     leg.set_point(motor, torque)?;
 ///     let now = leg.now();
 ///     leg.run_until(now, |_event| {})?;
+/// }
+/// // The first waits, and the others hear what has come meanwhile.
+/// for (leg, next) in legs.iter_mut().zip(next) {
+///     leg.run_until(next, |_event| {})?;
 /// }
 /// for (leg, unconfirmed) in legs.finish().into_iter().enumerate() {
 ///     assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed} of leg {leg}");

@@ -25,6 +25,10 @@ pub const LONGEST_TURN: Duration = Duration::from_secs(2);
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// A loop that runs a [`Master`] on a bus.
+///
+/// While a call waits, here or in [`bring_up`](crate::io::bring_up), it passes over what happens otherwise: also that
+/// another motor reports an error, or has restarted. What hands such events on is [`ask_with`](Self::ask_with) and
+/// [`run_until`](Self::run_until).
 pub trait Runner<const N: usize> {
     /// What the bus driver reports when it fails.
     type Error: fmt::Debug;
@@ -161,7 +165,7 @@ pub trait Runner<const N: usize> {
     /// switched off stays off until that is lifted, also where this is to hold it.
     ///
     /// Until [`Master::lift_stop`] whatever may move a motor is refused. Whose watchdog does not wait for so long calls
-    /// [`Master::stop_all`] and goes on with its loop, to which events say who has confirmed.
+    /// [`Master::stop_all`] and goes on with its loop, to which events say who has confirmed, with a time limit of its own.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         block_on(Polled(self).stop_all(kind, also))

@@ -194,7 +194,8 @@ pub enum Event {
     /// A motor has not confirmed the stop, after many attempts: cut its power. While the stop is in force it goes on
     /// being sent, every 100 ms or so and as soon as the motor is heard again, until it has answered that, or another
     /// command that stops it (0x80, 0x81): then [`StopConfirmed`](Self::StopConfirmed), or that command's reply, follows.
-    /// Not reported while a bus takes nothing at all: then the stop waits, and the bus has an error of its own.
+    /// Not reported while a bus takes nothing at all: then the stop waits, and nothing need say so. Have a time limit of
+    /// your own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,

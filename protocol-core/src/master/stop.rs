@@ -72,6 +72,8 @@ impl<const N: usize> Master<N> {
     ///   up to 15 times in all, or 30 where it is called again meanwhile.
     /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
+    /// - Neither comes while the bus takes nothing, with its cable off for example: the stop waits then. Have a time limit
+    ///   of your own, as the loops of [`io`](crate::io) have, after which who has not confirmed **needs its power cut**.
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
     /// - Called again, lifted meanwhile or not, it goes on with what is under way, since nothing that moves goes before
