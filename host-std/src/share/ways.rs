@@ -147,7 +147,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         let insistence = attempts.map_or(Insistence::Usual, Insistence::Attempts);
         let ends_motion = command.kind().ends_motion();
         let reply = self.bus.put(motor, &command, insistence, Some(self.since));
-        if ends_motion && reply.is_ok() {
+        // It may have been sent, whatever has come of it.
+        if ends_motion && !matches!(reply, Err(SharedBusError::Refused { .. })) {
             self.since.note_own_end();
         }
         reply.map_err(call_error)
@@ -190,17 +191,20 @@ mod tests {
     use std::thread;
     use std::time;
 
+    use embedded_can::{Frame as _, nb};
     use myactuator_protocol_core::command::{
         AbsolutePosition, ReadMultiTurnAngle, ReadRunningMode, Shutdown,
     };
+    use myactuator_protocol_core::io::CanMaster;
     use myactuator_protocol_core::io::bring_up::MoveFailure;
-    use myactuator_protocol_core::master::Event;
+    use myactuator_protocol_core::master::{Config, Event};
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
+    use myactuator_protocol_core::wire::can::SimpleFrame;
 
     use super::*;
     use crate::share::tests::{PANIC, fragile, id, shared, shared_fleet};
     use crate::sim::Fleet;
-    use crate::sim::bus::can::CanError;
+    use crate::sim::bus::can::{CanError, CanPort};
     use crate::sim::plant::Load;
 
     fn to(degrees: f32, dps: f32) -> AbsolutePosition {
@@ -347,11 +351,51 @@ mod tests {
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
         let told = bus.lock_brake(id(1));
-        assert!(matches!(told, Err(BringUpError::BrakeSlips { holds: true, .. })), "{told:?}");
+        assert!(
+            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{told:?}"
+        );
         let degrees = || bus.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
         let held = degrees();
         thread::sleep(time::Duration::from_millis(300));
         assert!((degrees() - held).abs() < 1.0, "{held} and {}", degrees());
+    }
+
+    /// A bus on which the answers to 0x78 are lost.
+    struct Deaf(CanPort);
+
+    impl nb::Can for Deaf {
+        type Frame = SimpleFrame;
+        type Error = CanError;
+
+        fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, CanError> {
+            self.0.transmit(frame)
+        }
+
+        fn receive(&mut self) -> ::nb::Result<SimpleFrame, CanError> {
+            loop {
+                let frame = self.0.receive()?;
+                if frame.data()[0] != 0x78 {
+                    return Ok(frame);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_its_brake_does_not_hold_its_motor_holds_again_though_the_lock_was_not_answered() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
+        let (port, clock) = (Deaf(fleet.world.port()), fleet.world.clock());
+        let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
+        let bus = SharedBus::new(master, StopKind::Hold);
+        bus.release_brake(id(1)).unwrap();
+        fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        let told = bus.lock_brake(id(1));
+        assert!(
+            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{told:?}"
+        );
     }
 
     #[test]

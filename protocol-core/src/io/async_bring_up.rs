@@ -31,6 +31,8 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ATTEMPTS: u8 = 2;
 /// How often a drive is told to restart that goes on running.
 const RESTARTS: u8 = 3;
+/// How long a motor is asked whether it is there that is to restart: a line may be out for as long.
+const LONGEST_SILENCE: Duration = Duration::from_millis(200);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
 
@@ -258,17 +260,23 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
-    if is_there(runner, motor).await? {
+    let mut is_there = match wait_until_there(runner, motor, LONGEST_SILENCE).await {
+        Ok(()) => true,
+        Err(BringUpError::NotThere(_)) => false,
+        Err(error) => return Err(error),
+    };
+    if !is_there {
+        // It may hear all the same.
+        is_there = runner.ask(motor, LockBrake).await.is_ok();
+        let locked = runner.now() + BRAKE_MOVES;
+        runner.run_until(locked, |_| {}).await?;
+    }
+    if is_there {
         match switch_off(runner, motor).await {
             // It falls all the same; an error that keeps it from holding goes with the restart.
             Ok(()) | Err(BringUpError::BrakeSlips { holds: Some(false), .. }) => {}
             Err(error) => return Err(error),
         }
-    } else {
-        // It may hear all the same.
-        let _ = runner.ask(motor, LockBrake).await;
-        let locked = runner.now() + BRAKE_MOVES;
-        runner.run_until(locked, |_| {}).await?;
     }
     restart_what_is_off(runner, motor, then).await
 }

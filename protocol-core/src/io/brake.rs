@@ -1,8 +1,8 @@
 //! Opening and locking a holding brake, so that no load falls.
 
 use crate::command::{
-    BrakeCommand, Command, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown, Status1,
-    Stop,
+    BrakeCommand, Command, Feedback, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown,
+    Status1, Stop,
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
@@ -37,32 +37,62 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     // One that has lost its master obeys the third command (2.31.1).
     look(bus, motor, ReadStatus1).await?;
-    let fails = |status: Status1| BringUpError::Fault { motor, errors: status.errors };
-    let has_errors = |status: &Status1| !status.errors.is_empty();
     let before = look(bus, motor, ReadStatus1).await?;
     if has_errors(&before) {
         if before.brake != BrakeCommand::LOCK {
             let _ = bus.ask(motor, LockBrake).await;
         }
-        return Err(fails(before));
+        return Err(BringUpError::Fault { motor, errors: before.errors });
     }
+    open(bus, motor).await
+}
+
+/// Opens a brake, the motor holding from the beginning, and sees that it does.
+async fn open<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
     open_and_hold(bus, motor).await?;
     let status = moved(bus, motor, has_errors).await?;
-    if has_errors(&status) {
-        // Only the brake can hold the shaft now. What comes of that changes nothing.
-        let _ = bus.ask(motor, LockBrake).await;
-        return Err(fails(status));
+    let fails = match status {
+        status if has_errors(&status) => BringUpError::Fault { motor, errors: status.errors },
+        status if status.brake != BrakeCommand::RELEASE => {
+            return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
+        }
+        // Somebody has switched it off since, or it does not say.
+        _ if falls(bus, motor).await? => BringUpError::LetGo(motor),
+        _ => return Ok(()),
+    };
+    // Only the brake can hold the shaft now. What comes of that changes nothing.
+    let _ = bus.ask(motor, LockBrake).await;
+    Err(fails)
+}
+
+/// Whether the shaft turns, and the motor runs nothing that could hold it: where it does not say, what is caught may swing
+/// for a while.
+async fn falls<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<bool, CallError<B::Error>> {
+    if turns_within(bus, motor, Duration::ZERO).await?.is_none() {
+        return Ok(false);
     }
-    if status.brake != BrakeCommand::RELEASE {
-        return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
+    match runs(bus, motor).await {
+        Some(runs) => Ok(!runs),
+        None => {
+            let swung = bus.now() + LOAD_SHOWS;
+            while bus.now() < swung {
+                look(bus, motor, ReadStatus1).await?;
+                let soon = bus.now() + SPOKEN_TO_EVERY;
+                let _ = bus.wait_until(soon).await;
+            }
+            Ok(turns_within(bus, motor, Duration::ZERO).await?.is_some())
+        }
     }
-    let turns = turns_within(bus, motor, Duration::ZERO).await?;
-    if turns.is_some() && runs(bus, motor).await != Some(true) {
-        // Somebody has switched it off since, as far as it says.
-        let _ = bus.ask(motor, LockBrake).await;
-        return Err(BringUpError::LetGo(motor));
-    }
-    Ok(())
+}
+
+fn has_errors(status: &Status1) -> bool {
+    !status.errors.is_empty()
 }
 
 /// Leaves a motor that holds, or whose stop is in force, unless its brake was not told to open.
@@ -122,7 +152,7 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     let status = bus.ask(motor, ReadStatus1).await?;
     let held = may_hold(bus, motor, &status).await?;
-    lock_and_look(bus, motor, held).await
+    lock_and_look(bus, motor, held).await?.map_or(Ok(()), Err)
 }
 
 /// Switches a motor off, its brake locked before if it has one, and sees that nothing falls. If this future is dropped,
@@ -134,83 +164,75 @@ pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
     let status = bus.ask(motor, ReadStatus1).await?;
     let held = may_hold(bus, motor, &status).await?;
     if held || status.brake != BrakeCommand::LOCK {
-        match lock_and_look(bus, motor, held).await {
+        match lock_and_look(bus, motor, held).await? {
+            None => {}
             // It has none, or does not know the command; or something has opened it again.
-            Err(
+            Some(
                 BringUpError::BrakeNotLocked { .. }
                 | BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. }),
             ) => check_stands(bus, motor).await?,
-            outcome => outcome?,
+            Some(why) => return Err(why),
         }
     }
-    bus.ask(motor, Shutdown).await?;
-    match held {
-        true => holds_without_motor(bus, motor, LOAD_SHOWS, held).await,
-        false => Ok(()),
+    let told = bus.ask(motor, Shutdown).await;
+    // It may have obeyed without an answer.
+    if held && !matches!(told, Err(CallError::Refused { .. })) {
+        stands_by_itself(bus, motor, held).await?;
     }
+    told.map(drop).map_err(Into::into)
 }
 
-/// Whether the motor may hold its shaft, which stands: unless it says that it runs nothing, and that its brake is locked.
-/// Some may not say that they run motion mode. One that turns and runs something is refused.
+/// Whether the motor may hold its shaft, which stands: it runs something, or draws a current, as one may in motion mode
+/// that says nothing of that. One that turns and runs something, or does not say behind an open brake, is refused.
 async fn may_hold<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     status: &Status1,
 ) -> Result<bool, BringUpError<B::Error>> {
-    let speed = bus.ask(motor, ReadStatus2).await?.speed;
-    let is_open = status.brake != BrakeCommand::LOCK;
+    let Feedback { speed, current, .. } = bus.ask(motor, ReadStatus2).await?;
     let runs = runs(bus, motor).await;
-    match status.errors.is_empty() {
-        true if turns(speed) && runs.unwrap_or(is_open) => {
-            Err(BringUpError::Turns { motor, speed })
-        }
-        is_sound => Ok(is_sound && !turns(speed) && (is_open || runs != Some(false))),
+    if has_errors(status) {
+        return Ok(false);
+    }
+    let is_open = status.brake != BrakeCommand::LOCK;
+    match turns(speed) {
+        true if runs.unwrap_or(is_open) => Err(BringUpError::Turns { motor, speed }),
+        is_turning => Ok(!is_turning && (runs == Some(true) || current.raw() != 0)),
     }
 }
 
-/// Tells a brake to lock, and sees whether it does and holds. What has held the shaft until then is to hold it again if
-/// not.
+/// Tells a brake to lock, and sees whether it holds. Gives why it is not locked where the shaft stands all the same.
 async fn lock_and_look<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     held: bool,
-) -> Result<(), BringUpError<B::Error>> {
-    let mut outcome = Ok(());
-    for _ in 0..LOCKS {
+) -> Result<Option<BringUpError<B::Error>>, BringUpError<B::Error>> {
+    let mut locks = 0;
+    loop {
         let told = bus.ask(motor, LockBrake).await;
         if let Err(refused @ CallError::Refused { .. }) = told {
             return Err(refused.into());
         }
         // It may have heard that all the same.
         let says = moved(bus, motor, |_| false).await?.brake;
-        holds_without_motor(bus, motor, Duration::ZERO, held).await?;
-        if says == BrakeCommand::LOCK {
-            return Ok(());
-        }
-        let is_answered = told.is_ok();
-        outcome =
-            Err(told
-                .map_or_else(BringUpError::Call, |_| BringUpError::BrakeNotLocked { motor, says }));
-        if is_answered {
-            break;
+        stands_by_itself(bus, motor, held).await?;
+        locks += 1;
+        match told {
+            _ if says == BrakeCommand::LOCK => return Ok(None),
+            Ok(_) => return Ok(Some(BringUpError::BrakeNotLocked { motor, says })),
+            Err(error) if locks == LOCKS => return Ok(Some(error.into())),
+            Err(_) => {}
         }
     }
-    if held && runs(bus, motor).await == Some(false) {
-        // Something has opened it again and let the motor go, and it does not turn yet.
-        hold_again(bus, motor).await;
-    }
-    outcome
 }
 
-/// Whether the shaft stands for so long behind a motor that does not hold it any more. What has held it until then is to
-/// hold it again if not.
-async fn holds_without_motor<B: Calls<N>, const N: usize>(
+/// Sees whether the shaft stands without its motor. What has held it until then is to hold it again if not.
+async fn stands_by_itself<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
-    time: Duration,
     held: bool,
 ) -> Result<(), BringUpError<B::Error>> {
-    let Some(speed) = turns_within(bus, motor, time).await? else { return Ok(()) };
+    let Some(speed) = turns_within(bus, motor, LOAD_SHOWS).await? else { return Ok(()) };
     let holds = if held { hold_again(bus, motor).await } else { Some(false) };
     Err(BringUpError::BrakeSlips { motor, speed, holds })
 }
@@ -218,7 +240,11 @@ async fn holds_without_motor<B: Calls<N>, const N: usize>(
 /// Opens the brake again, since no drive holds behind a locked one, and has the motor hold. Whether it does, if that is
 /// known.
 async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
-    match release_brake(bus, motor).await {
+    // Only an error that is known keeps it from that: it falls meanwhile.
+    if look(bus, motor, ReadStatus1).await.is_ok_and(|status| has_errors(&status)) {
+        return Some(false);
+    }
+    match open(bus, motor).await {
         Ok(()) => Some(true),
         Err(
             BringUpError::Fault { .. }
@@ -261,5 +287,7 @@ async fn look<B: Calls<N>, C: Command + Copy, const N: usize>(
             Err(CallError::Bus(_)) if looks < LOOKS => looks += 1,
             outcome => return outcome,
         }
+        let soon = bus.now() + SPOKEN_TO_EVERY;
+        let _ = bus.wait_until(soon).await;
     }
 }

@@ -136,7 +136,7 @@ pub enum BringUpError<E> {
         match *holds {
             Some(true) => "; it is open again, and the motor holds: do not switch it off",
             Some(false) => "",
-            None => "; it was told to open again, and the motor to hold, which it has not confirmed",
+            None => "; it has not confirmed that it is open again and that the motor holds",
         }
     )]
     BrakeSlips {
@@ -330,8 +330,8 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// }
 /// ```
 ///
-/// It looks at the shaft behind the brake: where that slips, what has held the load is told to hold it again, as by
-/// [`release_brake`]. Some show only when the motor is off that they slip: look at it again then. A motor that turns is
+/// It looks at the shaft behind the brake: where that slips, a motor that ran something or drew a current is told to hold
+/// again, as by [`release_brake`], and a stop may be left in force as there. Some show only when the motor is off that they slip: look at it again then. A motor that turns is
 /// refused while it runs and can be stopped; where it runs nothing, or reports an error, its brake is to catch what falls.
 ///
 /// # Errors
@@ -365,7 +365,7 @@ pub fn protect<R: Runner<N>, const N: usize>(
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
 /// because it answers under its old id, has not heard that, and is told again. Its output goes off: what the motor holds,
 /// its brake is told to hold before (0x78) and it is switched off, and one that turns while it runs, or falls then, is
-/// refused. A stop in force refuses this, too. Whole turns are lost unless multi-turn saving
+/// refused. So is the brake told of one that answers nothing, which may hear all the same. A stop in force refuses this. Whole turns are lost unless multi-turn saving
 /// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
 /// its angle first.
 ///

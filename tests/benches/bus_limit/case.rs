@@ -63,7 +63,7 @@ struct Case(Kind, Controller, Looking, f32, [f64; 2]);
 /// - Mailboxes by priority with such a host: after a short pause frames of the last look still wait, and commands
 ///   with lower ids would push them out. So fewer go then, where the wire may be free sooner; and as all
 ///   commands of a look go in the order of the ids, the last motor of three is slower by itself.
-/// - A set-point whose feedback is lost: the others stand still when they are a round ahead, until the bus was
+/// - A set-point whose feedback is lost: the others stand still when they are two rounds ahead, until the bus was
 ///   quiet; and the motor itself waits for `Config::longest_response`, or three of its usual round trips.
 /// - A request that is lost: see the module.
 const CASES: [Case; 20] = {

@@ -45,6 +45,18 @@ fn holding(mut or: impl FnMut(&mut Data, bool)) -> Saying<impl FnMut(&mut Data)>
     })
 }
 
+/// One that runs nothing, as it says, and draws no current.
+fn resting(mut or: impl FnMut(&mut Data)) -> Saying<impl FnMut(&mut Data)> {
+    holding(move |data, _| {
+        match data[0] {
+            0x70 => data[7] = 0,
+            0x9C => (data[2], data[3]) = (0, 0),
+            _ => {}
+        }
+        or(data);
+    })
+}
+
 /// Its brake slips, and one question behind that is lost.
 fn slips(lost: u8) -> Saying<impl FnMut(&mut Data)> {
     let mut opens = 0;
@@ -88,32 +100,49 @@ impl<F: FnMut(&mut Data)> nb::Can for Fails<F> {
     }
 }
 
+/// Behind a brake that slips at once, or when the motor is off.
 #[test]
-fn a_bus_that_fails_once_while_a_brake_locks_leaves_no_load() {
-    for frames in 1..80 {
-        let mut is_locked = false;
-        let slips = move |data: &mut Data| match data[0] {
-            0x78 => is_locked = true,
-            0x77 => is_locked = false,
-            0x70 => data[7] = RUNS,
-            0x9A => data[3] = if is_locked { LOCKED } else { OPEN },
-            0x9C if is_locked => data[4] = 90,
-            _ => {}
+fn a_bus_that_fails_once_while_a_motor_is_let_go_leaves_no_load() {
+    for (frames, slips_at, way) in
+        (1..130).flat_map(|frames| [(frames, 0x78, 0), (frames, 0x78, 1), (frames, 0x80, 2)])
+    {
+        let (mut is_locked, mut falls) = (false, false);
+        let slips = move |data: &mut Data| {
+            match data[0] {
+                0x78 => is_locked = true,
+                0x77 => is_locked = false,
+                0x81 => falls = false,
+                _ => {}
+            }
+            falls |= data[0] == slips_at;
+            match data[0] {
+                0x70 => data[7] = RUNS,
+                0x9A => data[3] = if is_locked { LOCKED } else { OPEN },
+                0x9C if falls => data[4] = 90,
+                _ => {}
+            }
         };
         let (bus, _, mut arm) = on_can(|bus, clock, config| {
             CanMaster::<_, _, 4>::new(Fails(Says(bus, slips), frames), clock, config)
         });
-        let outcome = bring_up::lock_brake(&mut arm, id(1));
+        let outcome = match way {
+            0 => bring_up::lock_brake(&mut arm, id(1)),
+            1 => bring_up::restart(&mut arm, id(1), id(1)),
+            _ => bring_up::zero_here(&mut arm, id(1)).map(drop),
+        };
         let later = arm.now() + BRAKE_MOVES;
         arm.run_until(later, |_| {}).unwrap();
+        let name = std::format!("{frames} {way} {outcome:?} {:x?}", told(&bus));
         match told(&bus)[..] {
-            // It is told, and goes on holding.
-            [] => assert!(matches!(outcome, Err(BringUpError::Call(_))), "{frames}: {outcome:?}"),
-            // Or a stop has it hold.
-            [0x78, .., 0x81] => {
-                assert!(matches!(outcome, Err(BringUpError::BrakeSlips { .. })), "{frames}");
+            // It goes on holding, or its brake holds yet.
+            [] | [0x78] if told(&bus).is_empty() || way == 2 => {
+                assert!(matches!(outcome, Err(BringUpError::Call(_))), "{name}")
             }
-            _ => panic!("{frames}: {outcome:?} {:x?}", told(&bus)),
+            // Or it holds again, or a stop has it hold.
+            [0x78, .., 0x81] => {
+                assert!(matches!(outcome, Err(BringUpError::BrakeSlips { .. })), "{name}");
+            }
+            _ => panic!("{name}"),
         }
     }
 }
@@ -148,13 +177,39 @@ fn who_may_run_something_has_its_brake_locked_whatever_it_says_of_that() {
 /// One that runs nothing, and says that its brake is locked, loses no time.
 #[test]
 fn who_rests_behind_its_brake_is_switched_off_at_once() {
-    let (bus, mut arm) = holding(|data, _| match data[0] {
-        0x70 => data[7] = 0,
-        0x9A => data[3] = LOCKED,
-        _ => {}
+    let (bus, mut arm) = resting(|data| {
+        if data[0] == 0x9A {
+            data[3] = LOCKED;
+        }
     });
     let _zero = bring_up::zero_here(&mut arm, id(1));
     assert_eq!(told(&bus)[..2], [0x80, 0x64]);
+}
+
+/// A motor without a brake, say, and a hand at its shaft.
+#[test]
+fn who_rests_is_never_told_to_hold() {
+    let never_locks = |data: &mut Data| {
+        if data[0] == 0x9A {
+            data[3] = OPEN;
+        }
+    };
+    let (bus, mut arm) = resting(never_locks);
+    let (motor, says) = (id(1), BrakeCommand::RELEASE);
+    let refused = bring_up::lock_brake(&mut arm, motor);
+    assert_eq!(refused, Err(BringUpError::BrakeNotLocked { motor, says }));
+    assert_eq!(told(&bus), [0x78]);
+    let (bus, mut arm) = resting(never_locks);
+    let _zero = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64]);
+    let mut is_off = false;
+    let (bus, mut arm) = resting(move |data| match data[0] {
+        0x80 => is_off = true,
+        0x9C if is_off => data[4] = 90,
+        _ => {}
+    });
+    let _zero = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64], "it is turned by hand");
 }
 
 /// A brake whose lock has no answer may lock all the same, or the question was lost for longer than it is repeated.
@@ -207,40 +262,87 @@ fn what_falls_when_its_motor_is_off_is_held_again_before_anything_is_written() {
 /// Something opens its brake again and switches it off: it does not turn yet when it is looked at.
 #[test]
 fn who_is_let_go_while_its_brake_locks_is_told_to_hold_again() {
-    for (mode, holds_again) in [(RUNS, false), (0, true)] {
-        let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
-            0x70 if is_locked => data[7] = mode,
-            0x9A => data[3] = OPEN,
-            _ => {}
-        });
-        let (motor, says) = (id(1), BrakeCommand::RELEASE);
-        let refused = bring_up::lock_brake(&mut arm, motor);
-        assert_eq!(refused, Err(BringUpError::BrakeNotLocked { motor, says }));
-        assert_eq!(told(&bus)[1..], [0x77, 0x81][..if holds_again { 2 } else { 0 }]);
-    }
+    let mut looks = 0;
+    let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+        0x70 if is_locked => data[7] = 0,
+        0x9A => data[3] = OPEN,
+        0x9C if is_locked => {
+            looks += 1;
+            data[4] = if looks > 5 { 90 } else { 0 };
+        }
+        _ => {}
+    });
+    let slips = bring_up::lock_brake(&mut arm, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
 }
 
 /// Its questions are lost, or it is: it may hear that it is to restart all the same.
 #[test]
 fn who_does_not_answer_has_its_brake_locked_before_it_restarts() {
-    let mut lost = 2;
+    for (answers_then, expected) in [
+        (true, [0x78, 0x78, 0x80, 0x76]),
+        // As often as any question is asked.
+        (false, [0x78, 0x78, 0x78, 0x76]),
+    ] {
+        let (bus, mut arm) = holding(move |data, is_locked| {
+            if data[0] == 0x9A && !is_locked || !answers_then && [0x9A, 0x78].contains(&data[0]) {
+                data[0] = NO_ANSWER;
+            }
+        });
+        let begun = arm.now();
+        let _restart = bring_up::restart(&mut arm, id(1), id(1));
+        assert_eq!(told(&bus)[..4], expected);
+        assert!(arm.now() - begun > BRAKE_MOVES);
+    }
+}
+
+/// A line that is out for less than a brake takes says nothing of the motor.
+#[test]
+fn who_answers_soon_is_no_silent_motor() {
+    let mut lost = 4;
     let (bus, mut arm) = holding(move |data, _| {
         if data[0] == 0x9A && lost > 0 {
             lost -= 1;
             data[0] = NO_ANSWER;
         }
     });
-    let begun = arm.now();
     let _restart = bring_up::restart(&mut arm, id(1), id(1));
-    assert_eq!(told(&bus)[..2], [0x78, 0x76]);
-    assert!(arm.now() - begun > BRAKE_MOVES);
+    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x76]);
+}
+
+/// The answer to 0x80 may be lost, and it be off all the same.
+#[test]
+fn who_does_not_answer_that_it_is_off_is_looked_at_all_the_same() {
+    let mut is_off = false;
+    let (bus, mut arm) = holding(move |data, _| match data[0] {
+        0x80 => (is_off, data[0]) = (true, NO_ANSWER),
+        0x81 => is_off = false,
+        0x9C if is_off => data[4] = 90,
+        _ => {}
+    });
+    let slips = bring_up::zero_here(&mut arm, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert!(told(&bus).starts_with(&[0x78, 0x80, 0x80, 0x80, 0x77, 0x81]));
+}
+
+/// Nobody knows whether its brake has locked then.
+#[test]
+fn who_does_not_say_how_its_brake_is_is_not_switched_off() {
+    let (bus, mut arm) = holding(|data, is_locked| {
+        if data[0] == 0x9A && is_locked {
+            data[0] = NO_ANSWER;
+        }
+    });
+    let refused = bring_up::zero_here(&mut arm, id(1));
+    assert!(matches!(refused, Err(BringUpError::Call(_))), "{refused:?}");
+    assert_eq!(told(&bus), [0x78]);
 }
 
 /// It fell before: nobody has it hold what it did not hold.
 #[test]
 fn a_brake_that_slips_under_what_nobody_held_is_not_opened_again() {
-    let (bus, mut arm) = holding(|data, _| match data[0] {
-        0x70 => data[7] = 0,
+    let (bus, mut arm) = resting(|data| match data[0] {
         0x9A => data[3] = LOCKED,
         0x9C => data[4] = 90,
         _ => {}

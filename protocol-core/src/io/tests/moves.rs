@@ -236,6 +236,7 @@ fn a_brake_behind_which_the_shaft_turns_slips() {
             0x9A => data[3] = 0,
             0x9C => {
                 looks += 1;
+                (data[2], data[3]) = (0, 0);
                 data[4] = if looks > 1 { dps } else { 0 };
             }
             _ => {}
