@@ -12,7 +12,6 @@ use crate::io::on_drop::OnDrop;
 use crate::io::standing::{check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
-use crate::units::CoarseSpeed;
 
 /// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
@@ -68,25 +67,16 @@ async fn open<B: Calls<N>, const N: usize>(
     Err(fails)
 }
 
-/// Whether the shaft turns, and the motor runs nothing that could hold it: where it does not say, what is caught may swing
-/// for a while.
+/// Whether the shaft turns, and the motor runs nothing that could hold it, or draws no current where it does not say.
 async fn falls<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<bool, CallError<B::Error>> {
-    if turns_within(bus, motor, Duration::ZERO).await?.is_none() {
-        return Ok(false);
-    }
-    match runs(bus, motor).await {
-        Some(runs) => Ok(!runs),
-        None => {
-            let swung = bus.now() + LOAD_SHOWS;
-            while bus.now() < swung {
-                look(bus, motor, ReadStatus1).await?;
-                let soon = bus.now() + SPOKEN_TO_EVERY;
-                let _ = bus.wait_until(soon).await;
-            }
-            Ok(turns_within(bus, motor, Duration::ZERO).await?.is_some())
+    match turns_within(bus, motor, Duration::ZERO).await? {
+        None => Ok(false),
+        Some(feedback) => {
+            let draws = feedback.current.raw() != 0;
+            Ok(!runs(bus, motor).await.unwrap_or(draws))
         }
     }
 }
@@ -232,7 +222,9 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
     motor: MotorId,
     held: bool,
 ) -> Result<(), BringUpError<B::Error>> {
-    let Some(speed) = turns_within(bus, motor, LOAD_SHOWS).await? else { return Ok(()) };
+    let Some(Feedback { speed, .. }) = turns_within(bus, motor, LOAD_SHOWS).await? else {
+        return Ok(());
+    };
     let holds = if held { hold_again(bus, motor).await } else { Some(false) };
     Err(BringUpError::BrakeSlips { motor, speed, holds })
 }
@@ -255,19 +247,19 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
     }
 }
 
-/// How fast the shaft turns, if it does within so long: at two looks in a row, since one may find it swing.
+/// How the shaft turns, if it does within so long: at two looks in a row, since one may find it swing.
 async fn turns_within<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     time: Duration,
-) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
+) -> Result<Option<Feedback>, CallError<B::Error>> {
     let end = bus.now() + time;
     let mut turned = false;
     loop {
-        let speed = look(bus, motor, ReadStatus2).await?.speed;
+        let feedback = look(bus, motor, ReadStatus2).await?;
         let now = bus.now();
-        match turns(speed) {
-            true if turned => return Ok(Some(speed)),
+        match turns(feedback.speed) {
+            true if turned => return Ok(Some(feedback)),
             false if now >= end => return Ok(None),
             turns => turned = turns,
         }

@@ -120,8 +120,8 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The shaft turns, its brake open, and the motor runs nothing that could hold it, or does not say (0x70): something
-    /// has switched it off since it was told to hold, or it did not obey that. Its brake is locked, or was told to be.
+    /// The shaft turns, its brake open, and the motor runs nothing that could hold it, or draws no
+    /// current where it does not say (0x70): something has switched it off since it was told to hold, or it did not obey. Its brake is locked, or was told to be.
     #[error(
         "motor {0} turns though it was told to hold while its brake opened: the brake is told to lock again"
     )]
@@ -331,8 +331,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// ```
 ///
 /// It looks at the shaft behind the brake: where that slips, a motor that ran something or drew a current is told to hold
-/// again, as by [`release_brake`], and a stop may be left in force as there. Some show only when the motor is off that they slip: look at it again then. A motor that turns is
-/// refused while it runs and can be stopped; where it runs nothing, or reports an error, its brake is to catch what falls.
+/// again, as by [`release_brake`], and a stop may be left in force as there. Some show only when the motor is off that they
+/// slip: look at it again then. A motor that turns is refused while it runs and can be stopped; where it runs nothing, or
+/// reports an error, its brake is to catch what falls.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
@@ -365,9 +366,9 @@ pub fn protect<R: Runner<N>, const N: usize>(
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
 /// because it answers under its old id, has not heard that, and is told again. Its output goes off: what the motor holds,
 /// its brake is told to hold before (0x78) and it is switched off, and one that turns while it runs, or falls then, is
-/// refused. So is the brake told of one that answers nothing, which may hear all the same. A stop in force refuses this. Whole turns are lost unless multi-turn saving
-/// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
-/// its angle first.
+/// refused. So is the brake told of one that answers nothing, which may hear all the same. A stop in force refuses this.
+/// Whole turns are lost unless multi-turn saving ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and
+/// it may be moved at once afterwards: read its angle first.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeSlips`]; [`BringUpError::NotThere`] if it does not answer within 5 s,
