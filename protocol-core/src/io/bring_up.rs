@@ -385,7 +385,8 @@ pub fn restart<R: Runner<N>, const N: usize>(
 /// must be ready to move: its brake open, no error.
 ///
 /// `on_look` gets every look at the motor, some fifty a second, and may give the move up. Nobody watches the motor
-/// while it takes its time.
+/// while it takes its time, nor hears of errors that others report: where others hold loads, move with set-points, or run
+/// the bus in a thread of its own.
 ///
 /// ```no_run
 /// # use core::ops::ControlFlow;
