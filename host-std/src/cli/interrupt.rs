@@ -24,6 +24,15 @@ const SIGNALS: [i32; 19] = [
 /// They would, too. The C library keeps the first few to itself, and refuses them.
 const REAL_TIME: RangeInclusive<i32> = 32..=64;
 
+/// The kernel keeps from it whatever would end it (pid_namespaces(7)).
+const FIRST_PROCESS: u32 = 1;
+
+/// What comes of a signal, for the help of what it does not end at once.
+pub(super) const ENDS_LATER: &str = "\
+If a signal comes meanwhile, this program dies by it at its end, also where all went well, so that a shell's loop over \
+motors ends, too: by that of Ctrl-C (130) for Ctrl-C, Ctrl-\\ and Ctrl-Z, else by its own, SIGTERM (143) or SIGHUP (129) \
+say.";
+
 /// The last of them that has come; 0 for none.
 static LAST: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
@@ -67,11 +76,14 @@ pub(super) fn has_come() -> bool {
 /// program that Ctrl-C has ended: one that exits, with whatever status, has dealt with it, and the next motor would
 /// move. So the other keys count as Ctrl-C: it goes on behind a program that Ctrl-\ has ended, and one that Ctrl-Z has
 /// halted would keep the bus.
-/// Gives the exit status that a shell would report for one that cannot end a program so.
+/// Gives the exit status that a shell would report for one that cannot end a program so: none ends the first process of a
+/// container, which would abort in its place.
 pub(super) fn end_by_it() -> Option<u8> {
     let signal = i32::try_from(LAST.load(Ordering::SeqCst)).ok().filter(|signal| *signal != 0)?;
     let ends = if matches!(signal, SIGQUIT | SIGTSTP | SIGTTOU) { SIGINT } else { signal };
-    let _ = signal_hook::low_level::emulate_default_handler(ends);
+    if std::process::id() != FIRST_PROCESS {
+        let _ = signal_hook::low_level::emulate_default_handler(ends);
+    }
     u8::try_from(ends).ok().and_then(|number| number.checked_add(128))
 }
 

@@ -11,6 +11,7 @@ use myactuator_protocol_core::time::Duration;
 
 use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, report};
 
 /// In so long a load turns a shaft that its brake does not hold.
@@ -23,6 +24,7 @@ const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 /// so two motors with the same id are refused; 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
 /// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
+#[command(after_help = format!("A signal ends a release at once; a lock is finished first.\n{ENDS_LATER}"))]
 pub(in crate::cli) struct Arguments {
     /// What to do with it.
     #[arg(value_enum)]

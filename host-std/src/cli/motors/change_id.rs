@@ -6,6 +6,7 @@ use myactuator_protocol_core::{MotorId, Target};
 
 use super::on_bus::OnBus;
 use super::session::{Consent, Session, say};
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Give a motor another id
@@ -14,8 +15,9 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 /// its ROM and restarts; its whole turns are lost with that unless multi-turn saving (function 4) is on. It is told by
 /// function 5 (0x20), which names it; if it does not acknowledge that, and is the only one on the bus, by 0x79, which
 /// all obey. Two motors with the same id are refused: connect only one of them. Ctrl-C ends this program when the change
-/// is finished. Exit status: 0 if it answers under the new id, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// is finished. Exit status: 0 if it answers under the new id, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS_LATER)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,

@@ -32,6 +32,7 @@ mod torque;
 mod zero;
 
 use super::Outcome;
+use super::interrupt::ENDS_LATER;
 
 /// What can be done with motors.
 #[derive(Debug, clap::Subcommand)]
@@ -50,14 +51,14 @@ pub(super) enum Subcommand {
     /// For 250 ms after that it is seen whether another program goes on commanding them: one that does so less often
     /// than that passes unnoticed. Exit status: 1 if one of them has not confirmed, goes on turning, or does not hold:
     /// it reports an error, runs nothing, or does not tell.
-    #[command(after_help = format!("{}\n\n{}", halt::OF_ALL, moving::HOLDS))]
+    #[command(after_help = format!("{}\n\n{ENDS_LATER}\n\n{}", halt::OF_ALL, moving::HOLDS))]
     Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
     /// A brake takes some 50 to 150 ms to lock: where a load could fall, 'myactuator stop' and 'myactuator brake lock' come
     /// before it. For 250 ms after that it is seen whether another program commands them, which switches them on again:
     /// one that does so less often than that passes unnoticed.
-    #[command(after_help = halt::OF_ALL)]
+    #[command(after_help = format!("{}\n\n{ENDS_LATER}", halt::OF_ALL))]
     Shutdown(session::Motors),
     Brake(brake::Arguments),
     Zero(zero::Arguments),

@@ -9,15 +9,16 @@ use super::moving::{ENDS, HOLDS};
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::Session;
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
 /// A shaft beyond the scale of positions is not moved. A locked brake is released first and stays open, for the motor
 /// holds still at the end. Ctrl-C and errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2
-/// for wrong usage, 130 if interrupted.
+/// for wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{HOLDS}"))]
+#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}\n\n{HOLDS}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

@@ -19,6 +19,7 @@ use super::progress::Progress;
 use super::run_for::seconds;
 use super::session::Session;
 use super::session::{OneMotor, say};
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// What ends that; nothing reads back whether it is set.
@@ -29,9 +30,9 @@ const UNLESS_PROTECTED: &str = " unless its protection (0xB3) ends that";
 /// It has arrived when it stands within 0.2 degrees of the target; then it holds its position until it
 /// is told something else. If it does not arrive in time, reports an error or Ctrl-C is pressed, it is
 /// stopped (0x81) and holds with all its torque, but with --press where it has met something. Exit status: 0
-/// if it has arrived or presses, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// if it has arrived or presses, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{HOLDS}"))]
+#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}\n\n{HOLDS}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

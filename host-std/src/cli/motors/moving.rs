@@ -32,8 +32,6 @@ What stops the motor (0x81) before this program ends: an error, a fault of this 
 a request to end (SIGTERM and whatever else can be caught) and a lost terminal, also while nobody reads what it \
 prints. If another program on the \
 bus stops the motor or switches it off, that ends this one. Ctrl-C once more does not wait until the motor stands.
-Then this program dies by the signal that came, by that of Ctrl-C (130) for each of these keys: so a shell's loop over \
-motors ends, too.
 Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";

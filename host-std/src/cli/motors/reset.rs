@@ -7,14 +7,16 @@ use myactuator_protocol_core::units::Angle;
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
+use crate::cli::interrupt::ENDS_LATER;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
 /// The shaft is free meanwhile unless a brake holds it, which is locked first where it is open (0x78), and whole turns
 /// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. So are two motors
 /// with the same id. Ctrl-C ends this program when the motor has restarted. Exit status: 0 if the motor has restarted and
-/// has no error, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// has no error, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS_LATER)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

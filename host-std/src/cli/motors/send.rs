@@ -15,6 +15,7 @@ use super::moving::{ENDS, LONGEST_WAIT, named};
 use super::on_bus::OnBus;
 use super::revision::MotorRevision;
 use super::session::{Consent, Session, say};
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
@@ -23,9 +24,9 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so:
 /// 'myactuator stop' ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped
 /// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
-/// to, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// to, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(arg_required_else_help = false, after_help = ENDS)]
+#[command(arg_required_else_help = false, after_help = format!("{ENDS}\n\n{ENDS_LATER}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,

@@ -5,6 +5,7 @@ use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
 
 use super::session::{OneMotor, say};
+use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, arguments as parse, report};
 
 /// Below this it is shorter than this program may take to speak to a motor.
@@ -16,8 +17,9 @@ const SHORT_MS: u32 = 50;
 /// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
 /// This program speaks to a motor that it moves every 10 to 20 ms, and later on a busy machine: below 50 ms the
 /// protection may end what it does. Two motors with the same id are refused. Ctrl-C ends this program when the motor has
-/// acknowledged. Exit status: 0 if it has, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// acknowledged. Exit status: 0 if it has, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS_LATER)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

@@ -6,14 +6,16 @@ use myactuator_protocol_core::io::bring_up;
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
+use crate::cli::interrupt::ENDS_LATER;
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
 /// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off (0x80), stores
 /// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Ctrl-C ends this
 /// program when that is finished. Two motors with the same id are refused. Exit status: 0 if the zero is kept, 1 if not,
-/// 2 for wrong usage, 130 if interrupted.
+/// 2 for wrong usage.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS_LATER)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,
