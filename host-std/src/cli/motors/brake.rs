@@ -61,14 +61,13 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 }
 
 fn lock(session: &mut Session, motor: MotorId) -> Outcome {
-    let held = session.may_hold(motor)?;
     match session.lock_brake(motor)? {
         Lock::Holds => say(&format!("motor {motor}: brake locked")),
         Lock::IsNotThere => Err(Unfinished::Failed(format!(
             "motor {motor}: the brake was told to lock, and the motor says that it was not"
         ))),
-        Lock::Slips(why) if held => Err(session.hold_again(motor, why)),
-        Lock::Slips(why) => Err(why),
+        Lock::Slips { why, holds: None } => Err(session.hold_again(motor, why)),
+        Lock::Slips { why, .. } => Err(why),
     }
 }
 
@@ -77,8 +76,11 @@ pub(super) enum Lock {
     Holds,
     /// The motor says that it was told no such thing: it has none.
     IsNotThere,
-    /// The shaft turns behind it.
-    Slips(Unfinished),
+    /// The shaft turns behind it. Whether its motor holds it again, if that is known.
+    Slips {
+        why: Unfinished,
+        holds: Option<bool>,
+    },
 }
 
 impl Session {
@@ -130,18 +132,21 @@ impl Session {
         })
     }
 
-    /// Locks the brake of a motor that stands, waits until it has had the time to, and looks whether it holds.
+    /// Locks the brake of a motor that stands, waits until it has had the time to, and looks whether it holds. What held
+    /// until then holds again if not, unless a stop refuses that.
     pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
         match bring_up::lock_brake(&mut self.master, motor) {
-            Ok(()) => Ok(self.slips(motor)?.map_or(Lock::Holds, Lock::Slips)),
+            Ok(()) => Ok(Lock::Holds),
             Err(BringUpError::BrakeNotLocked { .. }) => Ok(Lock::IsNotThere),
-            Err(error @ BringUpError::BrakeSlips { .. }) => Ok(Lock::Slips(error.into())),
+            Err(error @ BringUpError::BrakeSlips { holds, .. }) => {
+                Ok(Lock::Slips { why: error.into(), holds })
+            }
             Err(BringUpError::Call(error)) => Err(self.failed(error)),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// What is to be told where the shaft does not stand behind a brake that has had the time to lock: nothing else says
+    /// What is to be told where the shaft does not stand behind a locked brake once its motor is off: nothing else says
     /// whether it does.
     pub(super) fn slips(&mut self, motor: MotorId) -> Outcome<Option<Unfinished>> {
         let end = self.master.now() + BRAKE_SHOWS;
@@ -158,14 +163,6 @@ impl Session {
             self.wait_until(self.master.now() + LONGEST_WAIT)?;
         }
         Ok(None)
-    }
-
-    /// Whether the motor may hold its shaft, as the library has it: it runs something, or its brake is open and it does not
-    /// say, and it has no error.
-    fn may_hold(&mut self, motor: MotorId) -> Outcome<bool> {
-        let status = self.ask(motor, ReadStatus1)?;
-        let is_open = status.brake != BrakeCommand::LOCK;
-        Ok(self.runs_something(motor).unwrap_or(is_open) && status.errors.is_empty())
     }
 
     /// Whether the motor runs something, so that it may hold what would fall; not every drive answers that.
@@ -197,16 +194,14 @@ mod tests {
     fn is_held_again(mode: Option<u8>, slips_after_ms: u64) {
         let (fleet, drive) = odd_drive::alone();
         let mut is = drive.lock().unwrap();
-        (is.mode, is.is_open) = (mode, true);
+        (is.mode, is.draws, is.is_open) = (mode, true, true);
         is.slips_after = Some(Duration::from_millis(slips_after_ms));
         drop(is);
         let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
         let case = format!("mode {mode:?}, {slips_after_ms} ms: {outcome:?}");
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{case}") };
         assert!(
-            told.contains(
-                "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
-            ),
+            told.ends_with("it is open again, and the motor holds: do not switch it off"),
             "{case}"
         );
         let is = drive.lock().unwrap();
@@ -216,14 +211,28 @@ mod tests {
         assert!(is.is_open, "{case}");
     }
 
-    /// The library looks 200 ms after it has told the brake to lock, and this program for 200 ms more.
     #[test]
     fn what_a_slipping_brake_lets_go_is_held_again_whenever_that_is_seen() {
         for slips_after_ms in [100, 300] {
             is_held_again(Some(3), slips_after_ms);
-            // It may hold something, for all that is known.
+            // It draws a current, for all that is known.
             is_held_again(None, slips_after_ms);
         }
+    }
+
+    /// Of one that does not confirm that it is open again, that is tried once more.
+    #[test]
+    fn a_brake_that_may_be_open_again_is_not_left_so() {
+        let (fleet, drive) = odd_drive::alone();
+        let mut is = drive.lock().unwrap();
+        (is.mode, is.is_open, is.ignored_releases) = (Some(3), true, 3);
+        is.slips_after = Some(Duration::from_millis(100));
+        drop(is);
+        let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("not confirmed that it is open again"), "{told}");
+        assert!(told.contains("motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert!(drive.lock().unwrap().is_open);
     }
 
     #[test]

@@ -23,6 +23,10 @@ pub(super) struct OddDrive {
     pub(super) run_time_ms: u32,
     /// What runs, if it answers that.
     pub(super) mode: Option<u8>,
+    /// Whether it draws a current.
+    pub(super) draws: bool,
+    /// How often it does not hear that its brake is to open.
+    pub(super) ignored_releases: u32,
     /// Whether its brake was told to open last.
     pub(super) is_open: bool,
     /// So long after it was told to lock, the shaft turns behind it.
@@ -46,6 +50,10 @@ impl OddDrive {
     fn answer(&mut self, data: Data, now: Instant) -> Option<Data> {
         self.told.push(data[0]);
         match data[0] {
+            0x77 if self.ignored_releases > 0 => {
+                self.ignored_releases -= 1;
+                return None;
+            }
             0x77 => (self.is_open, self.locked_at) = (true, None),
             0x78 => (self.is_open, self.locked_at) = (false, Some(now)),
             _ => {}
@@ -66,6 +74,8 @@ impl OddDrive {
             }
             // 50 dps.
             [0x9C, ..] if self.slips(now) => Some([0x9C, 25, 0, 0, 50, 0, 0, 0]),
+            // 1 A.
+            [0x9C, ..] if self.draws => Some([0x9C, 0, 100, 0, 0, 0, 0, 0]),
             [byte @ (0x92 | 0x9C | 0x9D), ..] => Some([byte, 0, 0, 0, 0, 0, 0, 0]),
             _ => Some(self.last),
         }

@@ -108,7 +108,7 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     let slips = match session.lock_brake(motor)? {
         // Only the motor holds what it holds.
         Lock::IsNotThere => return session.stopped_by(StopKind::Hold, motor.into()),
-        Lock::Slips(why) => Some(why),
+        Lock::Slips { why, .. } => Some(why),
         Lock::Holds => {
             session.confirm_stop(StopKind::Off, motor.into())?;
             // Only now does it hold alone: that is looked at before anything else.
