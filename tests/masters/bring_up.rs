@@ -6,13 +6,13 @@ use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::Load;
 use myactuator_host_std::sim::{BusFleet, Fleet};
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, Stop,
+    BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, Stop, Switch,
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
@@ -38,6 +38,8 @@ on_both_buses! {
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
     an_id_that_two_motors_have_is_not_changed
     a_motor_that_answers_late_is_one_motor
+    a_motor_that_reports_its_errors_is_one_motor
+    two_motors_that_report_their_errors_are_two
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
     a_brake_opens_under_a_protection_that_is_shorter
@@ -277,6 +279,46 @@ fn a_motor_that_answers_late_is_one_motor<W: Wire>() {
     assert_eq!(bring_up::is_shared(&mut master(&bus), id(1)), Ok(false));
 }
 
+/// So many motors with id 1 that stall, and report it every 100 ms.
+fn stalled<W: Wire>(motors: u8) -> BusFleet<W> {
+    let bus = W::drives(&Fleet::new(motors).all_with_id(id(1))).unwrap();
+    let runner = &mut master(&bus);
+    // On a line nobody understands what two of them answer.
+    let _ = runner.ask(id(1), FunctionControl::ErrorReporting(Switch::On));
+    for drive in &bus.drives {
+        drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    }
+    let mut reports = 0;
+    let heard = |event| {
+        if let Event::Report { .. } = event {
+            reports += 1;
+        }
+    };
+    let end = runner.now() + millis(250);
+    runner.run_until(end, heard).unwrap();
+    assert!(motors > 1 || reports > 1, "{reports}");
+    bus
+}
+
+fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
+    let bus = stalled::<W>(1);
+    // Whenever it is asked.
+    for _ in 0..10 {
+        let runner = &mut master(&bus);
+        assert_eq!(bring_up::is_shared(runner, id(1)), Ok(false));
+        listen(runner, millis(17));
+    }
+}
+
+fn two_motors_that_report_their_errors_are_two<W: Wire>() {
+    let bus = stalled::<W>(2);
+    for _ in 0..10 {
+        let runner = &mut master(&bus);
+        assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
+        listen(runner, millis(17));
+    }
+}
+
 fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {
     let slow = Quirks { slow_boot: true, silent_id_change: true, ..Quirks::default() };
     for quirks in [Quirks::default(), slow] {
@@ -386,7 +428,8 @@ fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
         );
         let held_deg = state(drive).angle_deg;
         listen(runner, millis(500));
-        assert!((state(drive).angle_deg - held_deg).abs() < 0.1 && state(drive).output_on);
+        // What is caught swings by a little; what falls does so by 100 degrees.
+        assert!((state(drive).angle_deg - held_deg).abs() < 1.0 && state(drive).output_on);
     }
     assert_eq!(settings(), before, "nothing was written");
 }

@@ -154,9 +154,9 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
         let mut is_once = true;
         let mut hear = |event| match event {
             Event::Stray { motor, .. } if motor == id => is_once = false,
-            // A second 0x9A looks like the report of an error. Where it is one, no harm is done by asking again later.
+            // A second 0x9A looks like a report, and one of errors may well be one (function 3).
             Event::Report { motor, reply } if motor == id && reply.opcode() == kind.opcode() => {
-                is_once = false;
+                is_once &= tells_errors(&reply);
             }
             _ => {}
         };
@@ -172,4 +172,8 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
         return Ok(is_once);
     }
     Ok(false)
+}
+
+fn tells_errors(reply: &AnyReply) -> bool {
+    matches!(reply, AnyReply::ReadStatus1(status) if !status.errors.is_empty())
 }

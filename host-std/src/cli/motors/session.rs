@@ -262,7 +262,8 @@ impl Session {
         match bring_up::is_shared(&mut self.master, motor) {
             Ok(false) => Ok(()),
             Ok(true) => Err(Unfinished::Failed(format!(
-                "{} (or does another program ask it, too? end that one)",
+                "{} (or does another program ask it, too, or has one had it report by itself (0xB6), so that one motor \
+                 cannot be told from two? end that)",
                 shared(motor)
             ))),
             Err(error) => Err(self.failed(error)),
@@ -332,6 +333,8 @@ pub(super) fn shared(id: MotorId) -> String {
 mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::{ErrorFlags, FunctionControl, Switch};
+    use myactuator_protocol_core::time::Duration;
 
     use super::*;
 
@@ -345,6 +348,19 @@ mod tests {
         let outcome = refused(&Fleet::new(2).all_with_id(MotorId::MIN));
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.starts_with("two motors seem to have id 1: connect only one"), "{told}");
+    }
+
+    /// A motor that tells about its errors by itself (function 3) is told to be restarted for them.
+    #[test]
+    fn a_motor_that_reports_its_errors_is_not_refused() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.ask(MotorId::MIN, FunctionControl::ErrorReporting(Switch::On)).unwrap();
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        for _ in 0..5 {
+            session.wait_until(session.master.now() + Duration::from_millis(30)).unwrap();
+            assert_eq!(session.refuse_shared(MotorId::MIN), Ok(()));
+        }
     }
 
     #[test]
