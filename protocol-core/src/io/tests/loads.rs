@@ -1,6 +1,8 @@
 //! Loads that a motor holds when it is to be switched off: whatever its drive says or does not, and whatever is lost, it
 //! is let go only behind a brake that holds it.
 
+use std::cell::RefCell;
+use std::rc::Rc;
 use std::vec::Vec;
 
 use embedded_can::nb;
@@ -11,7 +13,7 @@ use super::world::{Broken, TestCan, on_can};
 use crate::Data;
 use crate::command::BrakeCommand;
 use crate::io::bring_up::{self, BRAKE_MOVES, BringUpError};
-use crate::io::{CanMaster, Runner};
+use crate::io::{CanMaster, Clock, Runner};
 use crate::master::{MotorSet, StopKind};
 use crate::wire::can::SimpleFrame;
 
@@ -404,4 +406,111 @@ fn no_stop_is_left_in_force_where_nothing_of_a_brake_is_answered() {
     let _zero = bring_up::zero_here(&mut arm, id(1));
     assert!(!arm.master().is_stopped(id(1)));
     assert!(told(&bus).contains(&0x64) && !told(&bus).contains(&0x77));
+}
+
+/// A drive with an error holds nothing, whatever it says that it runs: only the brake can catch what turns.
+#[test]
+fn what_falls_behind_an_error_has_its_brake_locked() {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
+        0x9A => data[6] = 2,
+        0x9C if !is_locked => data[4] = 90,
+        _ => {}
+    });
+    assert_eq!(bring_up::lock_brake(&mut arm, id(1)), Ok(()));
+    assert_eq!(told(&bus), [0x78]);
+}
+
+/// With its brake open it may be moved, with a locked one it falls, and nobody has held it.
+#[test]
+fn who_turns_and_does_not_say_what_it_runs_is_refused_behind_an_open_brake_alone() {
+    for (brake, expected) in [(OPEN, &[][..]), (LOCKED, &[0x78][..])] {
+        let (bus, mut arm) = holding(move |data, _| match data[0] {
+            0x70 => data[0] = NO_ANSWER,
+            0x9A => data[3] = brake,
+            0x9C => (data[2], data[4]) = (1, 90),
+            _ => {}
+        });
+        let refused = bring_up::lock_brake(&mut arm, id(1));
+        let is_right = match brake {
+            OPEN => matches!(refused, Err(BringUpError::Turns { .. })),
+            _ => matches!(refused, Err(BringUpError::BrakeSlips { holds: Some(false), .. })),
+        };
+        assert!(is_right, "{refused:?}");
+        assert_eq!(told(&bus), expected);
+    }
+}
+
+/// Its gear holds most of the load, say.
+#[test]
+fn who_runs_something_may_hold_a_load_though_it_draws_no_current() {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
+        0x9C => (data[2], data[3], data[4]) = (0, 0, if is_locked { 90 } else { 0 }),
+        _ => {}
+    });
+    let slips = bring_up::lock_brake(&mut arm, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+}
+
+/// Nobody knows of an error then, and its load falls meanwhile.
+#[test]
+fn who_falls_and_does_not_say_whether_it_has_an_error_holds_again() {
+    let mut falls = false;
+    let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+        0x9C if is_locked => (falls, data[4]) = (true, 90),
+        0x9A if is_locked && falls => data[0] = NO_ANSWER,
+        _ => {}
+    });
+    let slips = bring_up::lock_brake(&mut arm, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+}
+
+/// It is caught, and stands at every second look.
+#[test]
+fn what_swings_behind_its_brake_does_not_slip() {
+    let mut looks = 0;
+    let (bus, mut arm) = holding(move |data, is_locked| {
+        if data[0] == 0x9C && is_locked {
+            looks += 1;
+            data[4] = if looks % 2 == 1 { 90 } else { 0 };
+        }
+    });
+    assert_eq!(bring_up::lock_brake(&mut arm, id(1)), Ok(()));
+    assert_eq!(told(&bus), [0x78]);
+}
+
+/// Nobody has held what falls, so that a restart makes that no worse.
+#[test]
+fn who_slips_behind_its_brake_and_was_held_by_nobody_restarts() {
+    let (bus, mut arm) = resting(|data| {
+        if data[0] == 0x9C {
+            data[4] = 90;
+        }
+    });
+    let _restart = bring_up::restart(&mut arm, id(1), id(1));
+    assert_eq!(told(&bus)[..2], [0x78, 0x76]);
+}
+
+/// It may hear that its brake is to lock, and hold its load until then.
+#[test]
+fn who_answers_nothing_has_the_time_to_lock_its_brake_before_it_restarts() {
+    let times = Rc::new(RefCell::new(Vec::new()));
+    let heard = Rc::clone(&times);
+    let (_bus, _, mut arm) = on_can(move |bus, clock, config| {
+        let at = clock.clone();
+        let silent = move |data: &mut Data| {
+            heard.borrow_mut().push((data[0], at.now()));
+            if [0x9A, 0x78].contains(&data[0]) {
+                data[0] = NO_ANSWER;
+            }
+        };
+        CanMaster::<_, _, 4>::new(Says(bus, silent), clock, config)
+    });
+    let _restart = bring_up::restart(&mut arm, id(1), id(1));
+    let times = times.borrow();
+    let last = times.iter().rfind(|(byte, _)| *byte == 0x78).unwrap().1;
+    // Its run time is read right before it is told to restart.
+    let next = times.iter().find(|(byte, at)| *byte == 0xB1 && *at > last).unwrap().1;
+    assert!(next - last >= BRAKE_MOVES, "{:?}", next - last);
 }

@@ -664,3 +664,18 @@ fn the_lock_of_a_brake_that_may_not_be_there_ends_no_stop() {
     }
     assert!(is_locked && stops > 0, "{is_locked} {stops}");
 }
+
+/// The ticket of the next one would be told what became of the last.
+#[test]
+fn no_request_is_taken_before_it_was_told_that_a_stop_went_again_in_place_of_the_last() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    let from = is_given_up(&mut master, 1, 0);
+    let read = ask(&mut master, 1, ReadStatus1, ms(from + 95));
+    assert_eq!(sent(&mut master, ms(from + 100)), [packet_to(1, Stop.encode())]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(from + 101)), confirmed(1));
+    assert_eq!(master.request(id(1), ReadStatus1).err(), Some(RequestError::Busy));
+    let told = events(&mut master, ms(from + 101));
+    assert_eq!(told.iter().find_map(|it| read.outcome(it)), Some(Err(Failure::StopUnconfirmed)));
+    assert!(master.request(id(1), ReadStatus1).is_ok());
+}
