@@ -132,7 +132,10 @@ impl<const N: usize> Master<N> {
                 });
                 let Some((is_over, round)) = sent.flatten() else { return };
                 self.due = now;
-                self.keep_pace(round);
+                // Nobody is put forward by what is called for in every cycle.
+                if !self.was_called_again {
+                    self.keep_pace(round);
+                }
                 if is_over {
                     // It may have been a restart.
                     self.cancel_move_after_restart();

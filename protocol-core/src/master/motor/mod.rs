@@ -207,6 +207,11 @@ impl Motor {
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
         let claim = if waits && !self.is_silent() { LONGEST_CLAIM } else { LONGEST_LEAD };
+        // Who was stopped again and again is not as far ahead as that.
+        let latest = pace.wrapping_add(LONGEST_LEAD);
+        if is_before(latest, self.round) {
+            self.round = latest;
+        }
         let earliest = pace.wrapping_sub(claim);
         if self.is_behind(earliest) {
             self.round = earliest;

@@ -167,6 +167,23 @@ fn streams_of_all_have_equal_shares() {
     }
 }
 
+/// One is stopped in every cycle: its turns are no measure for the others.
+#[test]
+fn streams_have_equal_shares_beside_a_stop_of_every_cycle() {
+    for (motors, stopped) in [(8, 1), (8, 8), (12, 1), (12, 12), (32, 1), (32, 32)] {
+        let mut master = Master::new(Config::CAN);
+        let others = first(motors).collect::<MotorSet>().without(id(stopped).into());
+        let mut streams = stream(others);
+        let told = told(&mut master, 0..1_000, MotorSet::EMPTY, |master, now| {
+            master.stop(id(stopped), StopKind::Off).unwrap();
+            streams(master, now);
+        });
+        let shares: Vec<_> = others.iter().map(|motor| told[motor.index()].1).collect();
+        let (least, most) = (shares.iter().min().unwrap(), shares.iter().max().unwrap());
+        assert!(most - least <= 3 + most / 20, "of {motors}, {stopped}: {shares:?}");
+    }
+}
+
 /// How often all were told something in 200 ms in which so many motors are stopped in every cycle: more than the
 /// mailboxes hold, and all of it goes before a command to all.
 fn told_all_beside_stops(motors: u8, mut tell: impl FnMut(&mut Master<32>, u64)) -> u64 {
