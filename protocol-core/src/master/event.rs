@@ -107,8 +107,10 @@ pub enum Failure {
     #[error("the motors were stopped first")]
     Stopped,
     /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, a read's for example: it goes
-    /// once more every 100 ms or so, before anything else. The motor is silent, or was until now.
-    #[error("the motor is silent: it has not confirmed the stop, which went once more before this")]
+    /// once more every 100 ms or so, before anything else. The motor is silent, or the bus takes nothing.
+    #[error(
+        "the motor has not confirmed the stop, which goes once more before this: it may be silent"
+    )]
     StopUnconfirmed,
     /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
     /// not done at its first poll every request ends so.

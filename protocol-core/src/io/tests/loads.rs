@@ -443,9 +443,10 @@ fn who_turns_and_does_not_say_what_it_runs_is_refused_behind_an_open_brake_alone
 /// Its gear holds most of the load, say.
 #[test]
 fn who_runs_something_may_hold_a_load_though_it_draws_no_current() {
-    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
-        0x9C => (data[2], data[3], data[4]) = (0, 0, if is_locked { 90 } else { 0 }),
-        _ => {}
+    let (bus, mut arm) = holding(|data, is_locked| {
+        if data[0] == 0x9C {
+            (data[2], data[3], data[4]) = (0, 0, if is_locked { 90 } else { 0 });
+        }
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
     assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
