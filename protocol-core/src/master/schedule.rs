@@ -9,8 +9,12 @@ use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// So many rounds a motor may get ahead of one that may be waiting for its turn to answer.
+/// So many rounds a motor may get ahead of one that may be waiting for its turn to answer, and no more than one where there
+/// are more motors than [`MOST_TWO_AHEAD`].
 pub(super) const LONGEST_LEAD: u32 = 2;
+
+/// Of so many each may send three commands, and answer them, before [`Config::reply_timeout`] is over: 128 frames.
+const MOST_TWO_AHEAD: u32 = 21;
 
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -263,9 +267,10 @@ impl<const N: usize> Master<N> {
     #[inline]
     fn lead(&self, now: Instant) -> u32 {
         let frame_time = self.config.frame_time;
+        let is_many = self.places.taken.count() > MOST_TWO_AHEAD;
         match self.mailboxes_until.map_or(Duration::ZERO, |until| until - now) {
-            lie if lie <= frame_time => LONGEST_LEAD,
-            lie if lie <= frame_time + frame_time => LONGEST_LEAD - 1,
+            lie if lie <= frame_time && !is_many => LONGEST_LEAD,
+            lie if lie <= frame_time + frame_time => 1,
             _ => 0,
         }
     }

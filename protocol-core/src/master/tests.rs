@@ -128,14 +128,22 @@ fn report_angle(enable: Switch) -> ActiveReply {
     }
 }
 
-fn feedback_of_all(master: &mut Master<8>, motors: core::ops::RangeInclusive<u8>, now: Instant) {
+fn feedback_of_all<const N: usize>(
+    master: &mut Master<N>,
+    motors: core::ops::RangeInclusive<u8>,
+    now: Instant,
+) {
     for motor in motors {
         let answer = reply(master, motor, [0xA4, 0, 0, 0, 0, 0, 0, 0], now);
         assert!(matches!(answer, Some(Event::Feedback { .. })), "{answer:?}");
     }
 }
 
-fn stream_to(master: &mut Master<8>, motors: core::ops::RangeInclusive<u8>, now: Instant) {
+fn stream_to<const N: usize>(
+    master: &mut Master<N>,
+    motors: core::ops::RangeInclusive<u8>,
+    now: Instant,
+) {
     let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
     for motor in motors {
         master.set_point(id(motor), go, now).unwrap();

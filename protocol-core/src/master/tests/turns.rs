@@ -328,6 +328,25 @@ fn a_motor_whose_replies_lose_every_arbitration_gets_its_turn() {
     assert_eq!(sent(&mut master, at(2_100)).len(), 5);
 }
 
+/// Its answer has to come within the time of 128 frames.
+#[test]
+fn of_more_than_21_motors_none_gets_two_rounds_ahead() {
+    for (motors, ahead) in [(21, 2), (22, 1)] {
+        let mut master = Master::<32>::new(Config::CAN);
+        stream_to(&mut master, 1..=motors, ms(0));
+        sent(&mut master, ms(0));
+        // The last one does not answer, and the bus is full.
+        let goes_again = |now: &u64| {
+            let now = Instant::from_micros(*now);
+            feedback_of_all(&mut master, 1..=motors - 1, now);
+            stream_to(&mut master, 1..=motors - 1, now);
+            !sent(&mut master, now).is_empty()
+        };
+        let rounds = [3_000, 3_600, 4_200].iter().copied().take_while(goes_again).count();
+        assert_eq!(rounds, ahead, "of {motors}");
+    }
+}
+
 #[test]
 fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
     let mut master = Master::<8>::new(Config::CAN);
