@@ -52,11 +52,11 @@
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
-//! arbitration against those of low ids and all commands; so no motor gets more than two rounds ahead
-//! of one that may be waiting for its turn to answer, or one round where there are more than 21; where a controller hands frames back, one round fewer for each
-//! frame beyond the first that may lie there: the motor of one that is pushed out would keep all waiting. Whoever was
-//! silent before, or had its chance on a quiet bus, is not waited for: on CAN a silent motor costs the others the time
-//! of its own commands on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
+//! arbitration against those of low ids and all commands; so no motor gets more than two rounds ahead of one that may
+//! be waiting for its turn to answer, or one round where there are more than 21; where a controller hands frames back,
+//! one round fewer for each frame beyond the first that may lie there: the motor of one that is pushed out would keep all
+//! waiting. Whoever was silent before, or had its chance on a quiet bus, is not waited for: on CAN a silent motor costs
+//! the others the time of its own commands on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
 //! motor keeps the line for [`Config::reply_timeout`]. Who speaks without being asked keeps nobody off it.
 
 mod broadcast;

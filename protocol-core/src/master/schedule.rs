@@ -267,7 +267,8 @@ impl<const N: usize> Master<N> {
     #[inline]
     fn lead(&self, now: Instant) -> u32 {
         let frame_time = self.config.frame_time;
-        let is_many = self.places.taken.count() > MOST_TWO_AHEAD;
+        // To count them costs a small master nothing.
+        let is_many = N as u32 > MOST_TWO_AHEAD && self.places.taken.count() > MOST_TWO_AHEAD;
         match self.mailboxes_until.map_or(Duration::ZERO, |until| until - now) {
             lie if lie <= frame_time && !is_many => LONGEST_LEAD,
             lie if lie <= frame_time + frame_time => 1,
