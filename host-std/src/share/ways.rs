@@ -343,6 +343,15 @@ mod tests {
         assert!((arrival.angle.degrees() - 90.0).abs() <= 0.2, "{}", arrival.angle);
     }
 
+    /// Its brake is opened again.
+    fn holds_behind_a_brake_that_slips(bus: &SharedBus<CanError>) {
+        let told = bus.lock_brake(id(1));
+        assert!(
+            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{told:?}"
+        );
+    }
+
     /// It is opened again behind 0x78, which this way has sent itself.
     #[test]
     fn what_a_brake_does_not_hold_its_motor_holds_again() {
@@ -350,11 +359,7 @@ mod tests {
         let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true).load(load));
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
-        let told = bus.lock_brake(id(1));
-        assert!(
-            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
-            "{told:?}"
-        );
+        holds_behind_a_brake_that_slips(&bus);
         let degrees = || bus.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
         let held = degrees();
         thread::sleep(time::Duration::from_millis(300));
@@ -391,11 +396,7 @@ mod tests {
         let bus = SharedBus::new(master, StopKind::Hold);
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
-        let told = bus.lock_brake(id(1));
-        assert!(
-            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
-            "{told:?}"
-        );
+        holds_behind_a_brake_that_slips(&bus);
     }
 
     #[test]

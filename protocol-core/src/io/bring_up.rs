@@ -120,8 +120,9 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The shaft turns, its brake open, and the motor runs nothing that could hold it, or draws no
-    /// current where it does not say (0x70): something has switched it off since it was told to hold, or it did not obey. Its brake is locked, or was told to be.
+    /// The shaft turns, its brake open, and the motor runs nothing that could hold it, or draws no current where it does
+    /// not say (0x70): something has switched it off since it was told to hold, or it did not obey. Its brake is locked, or
+    /// was told to be.
     #[error(
         "motor {0} turns though it was told to hold while its brake opened: the brake is told to lock again"
     )]

@@ -29,6 +29,11 @@ fn told(bus: &TestCan) -> Vec<u8> {
     bus.sent().into_iter().map(|data| data[0]).filter(does).collect()
 }
 
+/// Whether its brake slips, and it holds again.
+fn is_held<T, E>(told: &Result<T, BringUpError<E>>) -> bool {
+    matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. }))
+}
+
 /// A motor that runs something and stands, its brake open until it is told to lock, unless this says something else.
 fn holding(mut or: impl FnMut(&mut Data, bool)) -> Saying<impl FnMut(&mut Data)> {
     let mut is_locked = false;
@@ -247,15 +252,12 @@ fn falls_when_off() -> Saying<impl FnMut(&mut Data)> {
 /// Some brakes show only then that they slip, and some drives hold behind them until then.
 #[test]
 fn what_falls_when_its_motor_is_off_is_held_again_before_anything_is_written() {
-    fn is_held<E>(told: Result<(), BringUpError<E>>) -> bool {
-        matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. }))
-    }
     let (zeroed, mut arm) = falls_when_off();
-    assert!(is_held(bring_up::zero_here(&mut arm, id(1)).map(drop)));
+    assert!(is_held(&bring_up::zero_here(&mut arm, id(1))));
     let (restarted, mut arm) = falls_when_off();
-    assert!(is_held(bring_up::restart(&mut arm, id(1), id(1))));
+    assert!(is_held(&bring_up::restart(&mut arm, id(1), id(1))));
     let (renamed, mut arm) = falls_when_off();
-    assert!(is_held(bring_up::change_id(&mut arm, id(1), id(4))));
+    assert!(is_held(&bring_up::change_id(&mut arm, id(1), id(4))));
     for bus in [zeroed, restarted, renamed] {
         assert_eq!(told(&bus), [0x78, 0x80, 0x77, 0x81]);
     }
@@ -275,7 +277,7 @@ fn who_is_let_go_while_its_brake_locks_is_told_to_hold_again() {
         _ => {}
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
-    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert!(is_held(&slips), "{slips:?}");
     assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
 }
 
@@ -324,7 +326,7 @@ fn who_does_not_answer_that_it_is_off_is_looked_at_all_the_same() {
         _ => {}
     });
     let slips = bring_up::zero_here(&mut arm, id(1));
-    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert!(is_held(&slips), "{slips:?}");
     assert!(told(&bus).starts_with(&[0x78, 0x80, 0x80, 0x80, 0x77, 0x81]));
 }
 
@@ -449,7 +451,7 @@ fn who_runs_something_may_hold_a_load_though_it_draws_no_current() {
         }
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
-    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert!(is_held(&slips), "{slips:?}");
     assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
 }
 
@@ -463,7 +465,7 @@ fn who_falls_and_does_not_say_whether_it_has_an_error_holds_again() {
         _ => {}
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
-    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    assert!(is_held(&slips), "{slips:?}");
     assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
 }
 
