@@ -7,6 +7,7 @@ use crate::master::late::Question;
 use crate::master::motor::replies::{Heard, Meaning};
 use crate::master::motor::reports::reported_bit;
 use crate::master::motor::{LastSent, Motor};
+use crate::master::transmit::ForAll;
 use crate::master::{Event, Master};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
@@ -163,6 +164,10 @@ impl<const N: usize> Master<N> {
         let shortest = self.config.shortest_response;
         let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
         let Some(is_answer) = taken else { return false };
+        // Answered it has left its mailbox, also on a bus that is never quiet.
+        if is_answer && self.broadcast.sent_at() >= self.stop_to_all_sent {
+            self.for_all = ForAll::Gone;
+        }
         // Also of one that is over: the same once more answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
         let asked = asked.or(self.broadcast.question());

@@ -391,7 +391,8 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     for at in [2, 1_000] {
         let mut master = Master::<2>::new(Config::CAN);
         let to_all = packet_to_all(ReadMultiTurnAngle.encode());
-        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        // Nobody is expected to answer, so that what is heard says nothing of where it is.
+        master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
         assert_eq!(sent(&mut master, ms(at)), [to_all]);
         master.handle_pushed_out(&to_all);
         assert_eq!(sent(&mut master, ms(at)), [to_all]);
@@ -402,6 +403,45 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
         let quiet = master.poll_at().unwrap();
         assert_eq!(sent(&mut master, quiet), [packet_to(2, ReadModel.encode())], "{at}");
     }
+}
+
+/// The bus has carried it. Who asks all again at once would keep set-points back for ever otherwise: it is never quiet.
+#[test]
+fn what_was_handed_back_and_is_answered_keeps_nobody_back_though_the_next_is_put() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let to_all = packet_to_all(ReadMultiTurnAngle.encode());
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [to_all]);
+    master.handle_pushed_out(&to_all);
+    assert_eq!(sent(&mut master, ms(2)), [to_all]);
+    master.set_point(id(2), torque(1.0), ms(2)).unwrap();
+    let answered = ms(2) + Duration::from_micros(300);
+    for motor in [1, 2] {
+        reply(&mut master, motor, ANGLE_REPLY, answered);
+    }
+    assert_eq!(events(&mut master, answered).len(), 1);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, answered), [to_all, packet_to(2, torque(1.0).encode())]);
+}
+
+#[test]
+fn an_answer_to_a_question_does_not_say_that_the_stop_to_all_behind_it_has_left_its_mailbox() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let both: MotorSet = [id(1), id(2)].into();
+    assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
+    let (stop, question) =
+        (packet_to_all(Shutdown.encode()), packet_to_all(ReadMultiTurnAngle.encode()));
+    assert_eq!(sent(&mut master, ms(0))[0], stop);
+    reply(&mut master, 1, Shutdown.encode(), ms(1));
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [question]);
+    master.handle_pushed_out(&stop);
+    let soon = |micros| ms(1) + Duration::from_micros(micros);
+    assert_eq!(sent(&mut master, soon(10)), [stop]);
+    reply(&mut master, 1, ANGLE_REPLY, soon(300));
+    assert_eq!(events(&mut master, soon(300)).len(), 1);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, soon(310)), []);
 }
 
 /// Motor 1 was told, and its answer is lost; what motor 2 was told came back when it was to be told something else.
