@@ -103,7 +103,8 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out.
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. So it is told,
+    /// too, where it had failed for another reason that nobody had polled yet.
     #[error("the motors were stopped first")]
     Stopped,
     /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, a read's for example: it goes
