@@ -9,10 +9,9 @@ use std::{io, thread};
 
 use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::protocol::MotorId;
-use myactuator_host_std::protocol::command::{AbsolutePosition, ReadMultiTurnAngle, Reset};
-use myactuator_host_std::protocol::io::bring_up::{BringUpError, MoveLimits};
-use myactuator_host_std::protocol::master::{Event, MotorSet, Patience, StopKind};
-use myactuator_host_std::protocol::time::Duration;
+use myactuator_host_std::protocol::command::{AbsolutePosition, ReadMultiTurnAngle};
+use myactuator_host_std::protocol::io::bring_up::MoveLimits;
+use myactuator_host_std::protocol::master::{Event, MotorSet, StopKind};
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed};
 use myactuator_host_std::share::{Guard, SharedBus};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -33,19 +32,11 @@ fn reach(bus: &SharedBus, motor: MotorId, degrees: f32) -> Outcome<()> {
     Ok(())
 }
 
-/// Restarts a motor. Its turns may be gone with that, so that nothing moves it until somebody has seen where it
-/// believes to be, and says so.
+/// Restarts a motor, as after an error. Its turns may be gone with that, so that nothing moves it until somebody has
+/// seen where it believes to be, and says so.
 fn restart(bus: &SharedBus, motor: MotorId) -> Outcome<()> {
-    // What it holds its brake is to hold meanwhile, if it has one.
-    match bus.lock_brake(motor) {
-        Ok(()) | Err(BringUpError::BrakeNotLocked { .. }) => {}
-        Err(error) => return Err(error.into()),
-    }
-    bus.ask(motor, Reset)?;
-    // It starts for a second or so, and is silent meanwhile.
-    let patience = Patience { reply_timeout: Duration::from_millis(300), attempts: 15 };
-    let reading = bus.ask_with(motor, ReadMultiTurnAngle, patience)?;
-    println!("motor {motor} says that it is at {}", reading.angle);
+    bus.restart(motor)?;
+    println!("motor {motor} says that it is at {}", bus.ask(motor, ReadMultiTurnAngle)?.angle);
     bus.resume(motor)?;
     bus.release_brake(motor)?;
     reach(bus, motor, 10.0)

@@ -71,10 +71,10 @@ impl<E> Desk<E> {
         if stop.is_some_and(|kind| state.stop_kind(motor, kind, since) != kind) {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
+        state.admit(motor, command.kind, since)?;
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
-        state.admit(motor, command.kind, since)?;
         let asker = Arc::downgrade(&waiting.asker);
         let question = Question { asker, motor, command, insistence, turn_ends: None, answer };
         state.put(question);

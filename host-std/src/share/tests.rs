@@ -79,7 +79,7 @@ fn tells<E: Debug>(told: &SharedBusError<E>, motor: u8, why: impl Display) {
 }
 
 /// The packets that were on the wire since this was last asked.
-fn packets(log: &Log<SimpleFrame>) -> Vec<Packet> {
+pub(super) fn packets(log: &Log<SimpleFrame>) -> Vec<Packet> {
     let carried = log.take().into_iter().filter_map(|record| match record.event {
         trace::Event::Carried { frame, .. } => Some(frame),
         _ => None,

@@ -4,7 +4,6 @@ use std::fmt;
 use std::ops::ControlFlow;
 
 use embassy_futures::block_on;
-use myactuator_protocol_core::command::CommunicationLossProtection;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::CallError;
 use myactuator_protocol_core::io::async_bring_up::{self, Calls};
@@ -92,14 +91,39 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. Any thread that speaks to it is enough.
     ///
     /// # Errors
-    /// As [`ask`](Self::ask).
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
     pub fn protect(
         &self,
         motor: MotorId,
         timeout: Milliseconds,
-    ) -> Result<Protection, SharedBusError<E>> {
-        let told = self.ask(motor, CommunicationLossProtection { timeout })?.timeout;
-        Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
+    ) -> Result<Protection, CallError<SharedBusError<E>>> {
+        block_on(async_bring_up::protect(&mut Way::on(self, motor), motor, timeout))
+    }
+
+    /// Restarts a drive (0x76), which also clears errors whose cause is gone, and waits until it answers, as
+    /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. Have no other thread move the motor
+    /// from before that. Behind it all threads are refused what moves it: read its angle, since whole turns may be
+    /// lost, [`resume`](Self::resume), and open its brake again.
+    ///
+    /// ```
+    /// # use myactuator_host_std::open::BusAddress;
+    /// # use myactuator_host_std::protocol::MotorId;
+    /// # use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+    /// # use myactuator_host_std::protocol::master::StopKind;
+    /// # use myactuator_host_std::share::SharedBus;
+    /// # let bus = SharedBus::open(&"sim:2".parse::<BusAddress>()?, StopKind::Hold)?;
+    /// let elbow = MotorId::new(2)?;
+    /// bus.restart(elbow)?;
+    /// println!("it believes to be at {}", bus.ask(elbow, ReadMultiTurnAngle)?.angle);
+    /// bus.resume(elbow)?;
+    /// bus.release_brake(elbow)?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn restart(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::restart(&mut Way::on(self, motor), motor, motor))
     }
 }
 
@@ -186,25 +210,28 @@ fn call_error<E>(error: SharedBusError<E>) -> CallError<SharedBusError<E>> {
 #[cfg(test)]
 mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
-    use std::sync::atomic::Ordering;
+    use std::sync::atomic::{AtomicBool, Ordering};
     use std::sync::mpsc::sync_channel;
     use std::thread;
     use std::time;
 
     use embedded_can::{Frame as _, nb};
     use myactuator_protocol_core::command::{
-        AbsolutePosition, ReadMultiTurnAngle, ReadRunningMode, Shutdown,
+        AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, Reset,
+        Shutdown,
     };
     use myactuator_protocol_core::io::CanMaster;
     use myactuator_protocol_core::io::bring_up::MoveFailure;
     use myactuator_protocol_core::master::{Config, Event};
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
     use myactuator_protocol_core::wire::can::SimpleFrame;
+    use myactuator_protocol_core::{Channel, Packet};
 
     use super::*;
-    use crate::share::tests::{PANIC, fragile, id, shared, shared_fleet};
+    use crate::share::tests::{PANIC, fragile, id, packets, shared, shared_fleet};
     use crate::sim::Fleet;
     use crate::sim::bus::can::{CanError, CanPort};
+    use crate::sim::bus::trace::Log;
     use crate::sim::plant::Load;
 
     fn to(degrees: f32, dps: f32) -> AbsolutePosition {
@@ -408,6 +435,100 @@ mod tests {
         assert_eq!(stored, timeout);
         assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
         assert!(bus.protect(id(1), timeout).is_err(), "a stop refuses it");
+    }
+
+    /// The bytes of the commands that were sent since this was last asked.
+    fn sent(log: &Log<SimpleFrame>) -> Vec<u8> {
+        let is_command = |packet: &Packet| matches!(packet.channel, Channel::Command(_));
+        packets(log).iter().filter(|packet| is_command(packet)).map(|it| it.data[0]).collect()
+    }
+
+    /// Another thread moves it all the while.
+    #[test]
+    fn a_drive_that_has_restarted_has_no_error_and_is_moved_by_nobody_until_it_is_resumed() {
+        let (fleet, bus) = shared_fleet(&Fleet::new(2).brakes(true));
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        let errors = || bus.ask(id(1), ReadStatus1).unwrap().errors;
+        assert!(!errors().is_empty());
+        fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+        let is_over = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                while !is_over.load(Ordering::Relaxed) {
+                    let _ = bus.set_point(id(1), to(90.0, 10.0));
+                    bus.ask(id(2), ReadStatus1).unwrap();
+                }
+            });
+            let log = fleet.world.log();
+            let told = bus.restart(id(1));
+            let sent = sent(&log);
+            // Behind the last 0x76 nothing has moved it.
+            let refused = bus.set_point(id(1), to(90.0, 10.0));
+            is_over.store(true, Ordering::Relaxed);
+            assert!(told.is_ok(), "{told:?}");
+            let restarted = sent.iter().rposition(|byte| *byte == 0x76).expect("it was told to");
+            assert!(!sent[restarted..].contains(&0xA4), "{sent:02X?}");
+            let refused = refused.unwrap_err().to_string();
+            assert!(refused.starts_with("motor 1: the motor may have restarted"), "{refused}");
+        });
+        assert_eq!(errors(), ErrorFlags::empty());
+        bus.resume(id(1)).unwrap();
+        bus.release_brake(id(1)).unwrap();
+        assert!(bus.move_to(id(1), to(5.0, 90.0), &MoveLimits::default(), go_on).is_ok());
+    }
+
+    #[test]
+    fn what_a_motor_holds_its_brake_holds_while_it_restarts() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
+        let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+        bus.release_brake(id(1)).unwrap();
+        let angle_deg = || fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
+        let (log, held_deg) = (fleet.world.log(), angle_deg());
+        bus.restart(id(1)).unwrap();
+        let mut told = sent(&log);
+        told.retain(|byte| [0x76, 0x78, 0x80].contains(byte));
+        assert_eq!(told, [0x78, 0x80, 0x76]);
+        assert!((angle_deg() - held_deg).abs() < 1.0, "{held_deg} and {}", angle_deg());
+    }
+
+    #[test]
+    fn what_its_brake_does_not_hold_is_held_again_and_does_not_restart() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true).load(load));
+        bus.release_brake(id(1)).unwrap();
+        fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        let log = fleet.world.log();
+        let told = bus.restart(id(1));
+        assert!(
+            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{told:?}"
+        );
+        assert!(!sent(&log).contains(&0x76));
+    }
+
+    #[test]
+    fn a_stop_refuses_a_restart_before_the_motor_lets_go_of_what_it_holds() {
+        let (fleet, bus) = shared(1);
+        assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap(), MotorSet::EMPTY);
+        let log = fleet.world.log();
+        let told = bus.restart(id(1)).unwrap_err();
+        assert!(told.to_string().contains("the motors were stopped"), "{told}");
+        assert_eq!(sent(&log), [0_u8; 0]);
+    }
+
+    /// The stop comes between the restart and what goes before it.
+    #[test]
+    fn who_began_to_restart_before_a_stop_restarts_nothing_behind_it() {
+        let (fleet, bus) = shared(1);
+        let way = &mut Way::on(&bus, id(1));
+        block_on(way.ask(id(1), Shutdown)).unwrap();
+        assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
+        bus.lift_stop().unwrap();
+        let log = fleet.world.log();
+        assert!(block_on(way.ask(id(1), Reset)).is_err());
+        assert_eq!(sent(&log), [0_u8; 0]);
+        assert!(bus.ask(id(1), Reset).is_ok(), "who begins now");
     }
 
     #[test]

@@ -23,7 +23,6 @@ use crate::io::on_drop::OnDrop;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet};
-use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use crate::units::{EncoderPulses, Milliseconds};
 
@@ -159,42 +158,52 @@ pub async fn identify<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::is_there`](crate::io::bring_up::is_there).
-pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn is_there<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
-) -> Result<bool, CallError<R::Error>> {
-    let patience = runner.master().patience(ATTEMPTS);
-    let is_known = runner.master().motors().contains(motor);
-    match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
+) -> Result<bool, CallError<B::Error>> {
+    bus.is_there(motor).await
+}
+
+/// The same, of one that keeps its place.
+pub(super) async fn answers<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<bool, CallError<B::Error>> {
+    match bus.ask_often(motor, ReadStatus1, Some(ATTEMPTS)).await {
         Ok(_) | Err(CallError::Refused { refusal: RequestError::Reported(_), .. }) => Ok(true),
-        Err(CallError::Failed { failure, .. }) if shows_motor(failure) => Ok(true),
-        Err(CallError::Failed { .. }) => {
-            if !is_known {
-                // Else every stop of all would wait for an id at which there is nobody.
-                runner.master().forget(motor);
-            }
-            Ok(false)
-        }
+        Err(CallError::Failed { failure, .. }) => Ok(shows_motor(failure)),
         Err(error) => Err(error),
     }
 }
 
 /// As [`bring_up::wait_until_there`](crate::io::bring_up::wait_until_there).
-pub async fn wait_until_there<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn wait_until_there<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     time: Duration,
-) -> Result<(), BringUpError<R::Error>> {
-    let deadline = runner.now() + time;
-    while !is_there(runner, motor).await? {
-        if runner.now() >= deadline {
+) -> Result<(), BringUpError<B::Error>> {
+    let deadline = bus.now() + time;
+    while !bus.is_there(motor).await? {
+        let now = bus.now();
+        if now >= deadline {
             return Err(BringUpError::NotThere(motor));
         }
         // A bus that takes nothing answers at once.
-        let next = runner.now() + SPOKEN_TO_EVERY;
-        runner.run_until(next, |_| {}).await?;
+        bus.wait_until(now + SPOKEN_TO_EVERY).await?;
     }
     Ok(())
+}
+
+/// Refuses what a stop refuses, before a motor that it holds is switched off.
+pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), CallError<B::Error>> {
+    match bus.may_move(motor) {
+        Err(refusal @ RequestError::Stopped) => Err(CallError::Refused { motor, refusal }),
+        _ => Ok(()),
+    }
 }
 
 /// As [`bring_up::zero_here`](crate::io::bring_up::zero_here).
@@ -202,9 +211,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    // What a stop refuses is refused before a motor that it holds is switched off.
-    let zeroing = Opcode::SetCurrentPositionZero.into();
-    runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
+    check_not_stopped(runner, motor)?;
     check_stands(runner, motor).await?;
     switch_off(runner, motor).await?;
     let stored = match runner.ask(motor, SetCurrentPositionZero).await {
@@ -244,67 +251,65 @@ async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::protect`](crate::io::bring_up::protect).
-pub async fn protect<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn protect<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     timeout: Milliseconds,
-) -> Result<Protection, CallError<R::Error>> {
-    let told = runner.ask(motor, CommunicationLossProtection { timeout }).await?.timeout;
+) -> Result<Protection, CallError<B::Error>> {
+    let told = bus.ask(motor, CommunicationLossProtection { timeout }).await?.timeout;
     Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
 }
 
 /// As [`bring_up::restart`](crate::io::bring_up::restart).
-pub async fn restart<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn restart<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     then: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
-    runner.master().check(Opcode::Reset.into(), motor.into()).map_err(CallError::refused(motor))?;
-    let mut is_there = match wait_until_there(runner, motor, LONGEST_SILENCE).await {
+) -> Result<(), BringUpError<B::Error>> {
+    check_not_stopped(bus, motor)?;
+    let mut is_there = match wait_until_there(bus, motor, LONGEST_SILENCE).await {
         Ok(()) => true,
         Err(BringUpError::NotThere(_)) => false,
         Err(error) => return Err(error),
     };
     if !is_there {
         // It may hear all the same.
-        is_there = runner.ask(motor, LockBrake).await.is_ok();
-        let locked = runner.now() + BRAKE_MOVES;
-        runner.run_until(locked, |_| {}).await?;
+        is_there = bus.ask(motor, LockBrake).await.is_ok();
+        let locked = bus.now() + BRAKE_MOVES;
+        bus.wait_until(locked).await?;
     }
     if is_there {
-        match switch_off(runner, motor).await {
+        match switch_off(bus, motor).await {
             // It falls all the same; an error that keeps it from holding goes with the restart.
             Ok(()) | Err(BringUpError::BrakeSlips { holds: Some(false), .. }) => {}
             Err(error) => return Err(error),
         }
     }
-    restart_what_is_off(runner, motor, then).await
+    restart_what_is_off(bus, motor, then).await
 }
 
 /// The same, of a motor that holds nothing.
-pub(super) async fn restart_what_is_off<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     then: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
+) -> Result<(), BringUpError<B::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
     let mut fails = BringUpError::NotRestarted(motor);
     for _ in 0..RESTARTS {
         // One with a new id may answer under that already; one that does not answer may hear all the same.
         let ran = match then == motor {
-            true => match runner.ask(motor, ReadRunTime).await {
+            true => match bus.ask(motor, ReadRunTime).await {
                 Ok(reply) => reply.run_time.into(),
                 Err(CallError::Failed { failure: Failure::NoReply, .. }) => Duration::ZERO,
                 Err(error) => return Err(error.into()),
             },
             false => Duration::ZERO,
         };
-        let told_at = runner.now();
-        runner.ask(motor, Reset).await?;
-        let there = match wait_until_there(runner, then, LONGEST_RESTART).await {
-            Err(BringUpError::NotThere(_)) if then != motor && is_there(runner, motor).await? => {
-                motor
-            }
+        let told_at = bus.now();
+        bus.ask(motor, Reset).await?;
+        let there = match wait_until_there(bus, then, LONGEST_RESTART).await {
+            Err(BringUpError::NotThere(_)) if then != motor && bus.is_there(motor).await? => motor,
             // It may hear the old id and answer as the new one.
             Err(BringUpError::NotThere(_)) if then != motor => {
                 fails = BringUpError::NotThere(then);
@@ -312,11 +317,10 @@ pub(super) async fn restart_what_is_off<R: AsyncRunner<N>, const N: usize>(
             }
             result => result.map(|()| then)?,
         };
-        let has_restarted =
-            there != motor || has_started_since(runner, motor, told_at, ran).await?;
+        let has_restarted = there != motor || has_started_since(bus, motor, told_at, ran).await?;
         if has_restarted {
             // It was meant to.
-            runner.master().resume(there);
+            bus.resume(there);
             return if there == then { Ok(()) } else { Err(BringUpError::NotThere(then)) };
         }
     }

@@ -6,13 +6,15 @@ use crate::command::Command;
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
+use crate::io::async_bring_up::answers;
 use crate::io::async_runner::AsyncRunner;
 use crate::master::StopKind;
 use crate::time::Instant;
 
-/// A bus as [`move_to`](crate::io::async_bring_up::move_to) and
-/// the ways with a brake need it. Every [`AsyncRunner`] is one, and a handle to a
-/// loop that another thread runs may be: then `N` is of no consequence.
+/// A bus as ways of working with one motor need it: [`move_to`](crate::io::async_bring_up::move_to),
+/// [`restart`](crate::io::async_bring_up::restart), [`protect`](crate::io::async_bring_up::protect) and those with a
+/// brake. Every [`AsyncRunner`] is one, and a handle to a loop that another thread runs may be: then `N` is of no
+/// consequence.
 #[allow(async_fn_in_trait, reason = "one task goes one way, so nothing asks for Send")]
 pub trait Calls<const N: usize> {
     /// What the bus driver reports when it fails.
@@ -64,6 +66,22 @@ pub trait Calls<const N: usize> {
 
     /// Takes note that a motor has restarted; see [`Master::note_restart`](crate::master::Master::note_restart).
     fn note_restart(&mut self, motor: MotorId);
+
+    /// Takes moves again for a motor that has restarted as it was meant to. A handle does not: others may move the
+    /// motor, who count from where it was, and have to know first. See
+    /// [`Master::resume`](crate::master::Master::resume).
+    fn resume(&mut self, _motor: MotorId) {}
+
+    /// Whether anything answers under this id. A loop gives one that nobody answers at no place that it did not have.
+    ///
+    /// # Errors
+    /// [`CallError`], but not that nobody answers.
+    async fn is_there(&mut self, motor: MotorId) -> Result<bool, CallError<Self::Error>>
+    where
+        Self: Sized,
+    {
+        answers(self, motor).await
+    }
 }
 
 impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
@@ -106,5 +124,19 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
 
     fn note_restart(&mut self, motor: MotorId) {
         self.master().note_restart(motor);
+    }
+
+    fn resume(&mut self, motor: MotorId) {
+        self.master().resume(motor);
+    }
+
+    async fn is_there(&mut self, motor: MotorId) -> Result<bool, CallError<R::Error>> {
+        let is_known = self.master().motors().contains(motor);
+        let is_there = answers(self, motor).await?;
+        if !is_there && !is_known {
+            // Else every stop of all would wait for an id at which there is nobody.
+            self.master().forget(motor);
+        }
+        Ok(is_there)
     }
 }

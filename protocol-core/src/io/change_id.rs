@@ -11,13 +11,14 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::{find, is_there, may_be_written, restart_what_is_off};
+use crate::io::async_bring_up::{
+    check_not_stopped, find, is_there, may_be_written, restart_what_is_off,
+};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
 use crate::io::bring_up::BringUpError;
 use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet, Patience};
-use crate::opcode::Opcode;
 use crate::time::Duration;
 
 /// How long an acknowledgement may take.
@@ -54,9 +55,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }
-    // What a stop refuses is refused before a motor that it holds is switched off.
-    let function_control = Opcode::FunctionControl.into();
-    runner.master().check(function_control, from.into()).map_err(CallError::refused(from))?;
+    check_not_stopped(runner, from)?;
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     switch_off(runner, from).await?;
