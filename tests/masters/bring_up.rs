@@ -48,6 +48,7 @@ on_both_buses! {
     a_load_stays_where_it_is
     what_a_brake_does_not_hold_its_motor_holds_again
     who_may_not_open_a_brake_that_slips_says_so
+    what_slips_only_when_the_motor_is_off_is_told
     what_falls_is_caught_by_its_brake_alone
     what_a_motor_holds_its_brake_holds_while_it_is_switched_off
     no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
@@ -443,6 +444,22 @@ fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
     let told = bring_up::lock_brake(runner, id(1)).expect_err("its load falls");
     assert!(matches!(told, BringUpError::BrakeSlips { holds: Some(false), .. }), "{told:?}");
     assert!(!told.to_string().contains("holds"), "{told}");
+}
+
+/// Nobody opens the brake again.
+fn what_slips_only_when_the_motor_is_off_is_told<W: Wire>() {
+    for slips in [false, true] {
+        let bus = lifting::<W>();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+        assert_eq!(bring_up::lock_brake(runner, id(1)), Ok(()));
+        drive.with(|drive| drive.plant_mut().force_brake(slips.then_some(true)));
+        assert!(runner.stop(id(1), StopKind::Off));
+        let told = bring_up::check_brake(runner, id(1));
+        let is_told = matches!(told, Err(BringUpError::BrakeSlips { holds: Some(false), .. }));
+        assert!(if slips { is_told } else { told.is_ok() }, "{told:?}");
+        assert!(!state(drive).output_on);
+    }
 }
 
 fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {

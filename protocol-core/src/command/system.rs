@@ -26,6 +26,14 @@ code! {
     }
 }
 
+impl Mode {
+    /// Whether any loop runs, so that the motor can hold its shaft: drives were seen to report 0, which the manual does
+    /// not name, while none does.
+    pub const fn runs(self) -> bool {
+        self.raw() != 0
+    }
+}
+
 reply! {
     /// Which control loop runs (2.25.3).
     RunningMode {

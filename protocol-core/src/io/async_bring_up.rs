@@ -14,7 +14,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::{BRAKE_MOVES, SPOKEN_TO_EVERY, switch_off};
-pub use crate::io::brake::{lock_brake, release_brake};
+pub use crate::io::brake::{check_brake, lock_brake, release_brake};
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
 pub use crate::io::change_id::{change_id, is_shared};

@@ -172,6 +172,14 @@ pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
     told.map(drop).map_err(Into::into)
 }
 
+/// As [`bring_up::check_brake`](crate::io::bring_up::check_brake).
+pub async fn check_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    stands_by_itself(bus, motor, false).await
+}
+
 /// Whether the motor may hold its shaft, which stands: it runs something, or draws a current, as one may in motion mode
 /// that says nothing of that. One that turns and runs something, or does not say behind an open brake, is refused.
 async fn may_hold<B: Calls<N>, const N: usize>(

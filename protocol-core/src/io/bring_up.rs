@@ -327,14 +327,17 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// /// Whether it has confirmed that it is off. Before that it has to stand.
 /// fn put_down<R: Runner<8>>(bus: &mut R, arm: MotorId) -> Result<bool, BringUpError<R::Error>> {
 ///     bring_up::lock_brake(bus, arm)?;
-///     Ok(bus.stop(arm, StopKind::Off))
+///     let is_off = bus.stop(arm, StopKind::Off);
+///     // If it slips now: lift that stop, and open the brake again, behind which the motor holds.
+///     bring_up::check_brake(bus, arm)?;
+///     Ok(is_off)
 /// }
 /// ```
 ///
 /// It looks at the shaft behind the brake: where that slips, a motor that ran something or drew a current is told to hold
 /// again, as by [`release_brake`], and a stop may be left in force as there. Some show only when the motor is off that they
-/// slip: look at it again then. A motor that turns is refused while it runs and can be stopped; where it runs nothing, or
-/// reports an error, its brake is to catch what falls.
+/// slip: [look again](check_brake) then. A motor that turns is refused while it runs and can be stopped; where it runs
+/// nothing, or reports an error, its brake is to catch what falls.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
@@ -343,6 +346,18 @@ pub fn lock_brake<R: Runner<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     block_on(task::lock_brake(&mut Polled(runner), motor))
+}
+
+/// Sees whether the shaft of a motor that is off stands, behind a brake that was told to [lock](lock_brake): for the
+/// 200 ms in which a load turns one that nothing holds. What falls is not held again.
+///
+/// # Errors
+/// [`BringUpError::BrakeSlips`], [`BringUpError::Call`].
+pub fn check_brake<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    block_on(task::check_brake(&mut Polled(runner), motor))
 }
 
 /// Sets after how long without a command a motor stops by itself (0xB3); 0 switches that off. It is kept in ROM.

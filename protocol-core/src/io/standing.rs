@@ -22,7 +22,7 @@ pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
 pub(super) async fn runs<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
     // Once: a short protection does not outlast more.
     let reply = bus.ask_often(motor, ReadRunningMode, Some(1)).await;
-    reply.map(|reply| reply.mode.raw() != 0).ok()
+    reply.map(|reply| reply.mode.runs()).ok()
 }
 
 /// Whether a motor that reports this speed turns: up to 2 dps it stands, since feedback may flicker by a step.

@@ -3,19 +3,15 @@
 use clap::ValueEnum;
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1, ReleaseBrake};
+use myactuator_protocol_core::command::{BrakeCommand, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use myactuator_protocol_core::master::StopKind;
-use myactuator_protocol_core::time::Duration;
 
 use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
 use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, report};
-
-/// In so long a load turns a shaft that its brake does not hold.
-const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
 /// Release or lock a motor's brake
 ///
@@ -135,7 +131,18 @@ impl Session {
     /// Locks the brake of a motor that stands, waits until it has had the time to, and looks whether it holds. What held
     /// until then holds again if not, unless a stop refuses that.
     pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
-        match bring_up::lock_brake(&mut self.master, motor) {
+        let outcome = bring_up::lock_brake(&mut self.master, motor);
+        self.locked(outcome)
+    }
+
+    /// Looks once more at a locked brake, behind which its motor is off.
+    pub(super) fn check_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
+        let outcome = bring_up::check_brake(&mut self.master, motor);
+        self.locked(outcome)
+    }
+
+    fn locked(&mut self, outcome: Result<(), BringUpError<BusError>>) -> Outcome<Lock> {
+        match outcome {
             Ok(()) => Ok(Lock::Holds),
             Err(BringUpError::BrakeNotLocked { .. }) => Ok(Lock::IsNotThere),
             Err(error @ BringUpError::BrakeSlips { holds, .. }) => {
@@ -144,30 +151,6 @@ impl Session {
             Err(BringUpError::Call(error)) => Err(self.failed(error)),
             Err(error) => Err(error.into()),
         }
-    }
-
-    /// What is to be told where the shaft does not stand behind a locked brake once its motor is off: nothing else says
-    /// whether it does.
-    pub(super) fn slips(&mut self, motor: MotorId) -> Outcome<Option<Unfinished>> {
-        let end = self.master.now() + BRAKE_SHOWS;
-        let mut turned = false;
-        while self.master.now() < end {
-            let speed = self.turns_at(motor)?;
-            // One look may find it swing.
-            if let Some(speed) = speed.filter(|_| turned) {
-                return Ok(Some(Unfinished::Failed(format!(
-                    "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
-                ))));
-            }
-            turned = speed.is_some();
-            self.wait_until(self.master.now() + LONGEST_WAIT)?;
-        }
-        Ok(None)
-    }
-
-    /// Whether the motor runs something, so that it may hold what would fall; not every drive answers that.
-    pub(super) fn runs_something(&mut self, motor: MotorId) -> Option<bool> {
-        self.master.ask(motor, ReadRunningMode).ok().map(|reply| reply.mode.raw() != 0)
     }
 }
 
@@ -185,6 +168,7 @@ fn warn_of(motor: MotorId, says: BrakeCommand) {
 mod tests {
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::drive::Quirks;
+    use myactuator_protocol_core::time::Duration;
 
     use super::super::odd_drive;
     use super::super::simulated::sent;

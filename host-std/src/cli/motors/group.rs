@@ -37,10 +37,10 @@ impl Group {
         self
     }
 
-    /// The same of the running mode: drives report one that the manual does not name while none runs.
+    /// The same of the running mode, which has no name while none runs.
     pub(super) fn and_mode(self, mode: &RunningMode) -> Self {
         let mut group = self.and(mode);
-        if mode.mode.raw() == 0
+        if !mode.mode.runs()
             && let Some(part) = group.0.last_mut()
         {
             part.words = Some("nothing runs (mode 0)");

@@ -284,7 +284,7 @@ impl Session {
             looks.failing.push((motor, told));
         }
         for (motor, reply) in self.ask_each(without_errors, ReadRunningMode, None).outcomes {
-            if reply.is_ok_and(|reply| reply.mode.raw() == 0) {
+            if reply.is_ok_and(|reply| !reply.mode.runs()) {
                 looks.idle.insert(motor);
             }
         }

@@ -64,9 +64,12 @@ pub(super) fn run<C: Command + Copy>(
     may_run(session)?;
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
+    // Not every drive answers that.
+    let mut may_hold =
+        || session.master.ask(motor, ReadRunningMode).ok().is_none_or(|reply| reply.mode.runs());
     let end = match run.end {
         // Where only the motor holds a load, it would fall.
-        StopKind::Off if !locked && session.runs_something(motor) != Some(false) => StopKind::Hold,
+        StopKind::Off if !locked && may_hold() => StopKind::Hold,
         end => end,
     };
     let first = if opens { "have its brake released and " } else { "" };
@@ -105,19 +108,18 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.stop(StopKind::Hold, motor.into())?;
     // Not on a shaft that turns still.
     session.come_to_rest(motor)?;
-    let slips = match session.lock_brake(motor)? {
+    let mut lock = session.lock_brake(motor)?;
+    if let Lock::Holds = lock {
+        session.confirm_stop(StopKind::Off, motor.into())?;
+        // Only now does it hold alone: that is looked at before anything else.
+        lock = session.check_brake(motor)?;
+    }
+    match lock {
+        Lock::Holds => {}
         // Only the motor holds what it holds.
         Lock::IsNotThere => return session.stopped_by(StopKind::Hold, motor.into()),
-        Lock::Slips { why, .. } => Some(why),
-        Lock::Holds => {
-            session.confirm_stop(StopKind::Off, motor.into())?;
-            // Only now does it hold alone: that is looked at before anything else.
-            session.slips(motor)?
-        }
-    };
-    if let Some(why) = slips {
         // The motor held its load, so it is to hold that again.
-        return Err(session.hold_again(motor, why));
+        Lock::Slips { why, .. } => return Err(session.hold_again(motor, why)),
     }
     session.see_stopped(StopKind::Off, motor.into())?;
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
@@ -197,14 +199,14 @@ fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome 
 
 /// That the drive does not say that it runs nothing.
 fn runs(session: &mut Session, motor: MotorId) -> Outcome {
-    match session.ask(motor, ReadRunningMode)?.mode.raw() {
-        0 => Err(Unfinished::Failed(format!(
-            "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
-             against loss of communication too short ({} makes it longer)?",
-            session.hint("timeout --time-ms 500", motor)
-        ))),
-        _ => Ok(()),
+    if session.ask(motor, ReadRunningMode)?.mode.runs() {
+        return Ok(());
     }
+    Err(Unfinished::Failed(format!(
+        "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
+         against loss of communication too short ({} makes it longer)?",
+        session.hint("timeout --time-ms 500", motor)
+    )))
 }
 
 pub(super) fn seconds(span: Duration) -> f64 {

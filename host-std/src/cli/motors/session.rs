@@ -14,7 +14,6 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, MotorSet};
-use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::elsewhere::Watched;
@@ -309,18 +308,12 @@ impl Session {
 
     /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
-        match self.turns_at(motor)? {
-            Some(speed) => {
-                Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
-            }
-            None => Ok(()),
-        }
-    }
-
-    /// How fast a motor turns, if it does.
-    pub(super) fn turns_at(&mut self, motor: MotorId) -> Outcome<Option<CoarseSpeed>> {
         let speed = self.ask(motor, ReadStatus2)?.speed;
-        Ok(Some(speed).filter(|speed| bring_up::turns(*speed)))
+        if bring_up::turns(speed) {
+            Err(BringUpError::Turns { motor, speed }.into())
+        } else {
+            Ok(())
+        }
     }
 }
 
