@@ -433,7 +433,15 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     let is_told = |_| run_at(bus, &["scan"]).1.contains("note: two motors seem to have id 1");
     assert!((0..3).any(is_told));
     // Nor is anything else written to them, nor are their shafts let go.
-    for change in ["zero", "timeout --time-ms 1000", "reset", "brake release"] {
+    let changes = [
+        "zero",
+        "timeout --time-ms 1000",
+        "reset",
+        "brake release",
+        "send reset",
+        "send release-brake",
+    ];
+    for change in changes {
         let words: Vec<&str> = change.split(' ').chain(["--id", "1", "--yes"]).collect();
         let (status, told) = run_at(bus, &words);
         assert_eq!(status, Some(1), "{change}: {told}");
@@ -443,6 +451,10 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     let turn = ["speed", "--id", "1", "--speed-dps", "5", "--for-s", "0.1", "--yes"];
     let both = "note: two motors seem to have id 1: connect only one of them. Both will do this";
     assert!((0..3).any(|_| run_at(bus, &turn).1.contains(both)));
+    let turn = ["send", "speed", "--speed-dps", "5", "--max-torque-pct", "0", "--id", "1", "--yes"];
+    assert!((0..3).any(|_| run_at(bus, &turn).1.contains(both)));
+    let read = run_at(bus, &["send", "read-version-date", "--id", "1"]).1;
+    assert!(!read.contains("two motors"), "{read}");
     drop(simulation);
     let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2"]);
     let told = done_at(simulation.bus("slcan"), &["scan"]);

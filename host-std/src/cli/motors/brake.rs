@@ -2,11 +2,11 @@
 
 use clap::ValueEnum;
 use myactuator_host_std::open::BusError;
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
@@ -41,7 +41,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let motor = arguments.motor.id;
     match arguments.action {
         Action::Release => {
-            let mut session = arguments.motor.open_to_write()?;
+            let mut session = arguments.motor.open_to_send(Opcode::ReleaseBrake)?;
             session.ask(motor, ReadStatus1)?;
             session.confirm(&format!(
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."

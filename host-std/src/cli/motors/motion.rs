@@ -44,7 +44,7 @@ pub(in crate::cli) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let bus = arguments.span.motor.on.to_act()?.kind();
     parse::check_bus(Opcode::Motion.into(), bus)?;
-    run_on(&mut arguments.span.motor.open_to_change()?, arguments)
+    run_on(&mut arguments.span.motor.open_to_send(Opcode::Motion)?, arguments)
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {

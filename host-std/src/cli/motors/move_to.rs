@@ -3,7 +3,6 @@
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     AbsolutePosition, ForcePosition, IncrementalPosition, ReadMultiTurnAngle,
 };
@@ -13,6 +12,7 @@ use myactuator_protocol_core::io::bring_up::{
 };
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::moving::{ENDS, HOLDS};
 use super::progress::Progress;
@@ -63,7 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 .to_owned(),
         ));
     }
-    let mut session = arguments.motor.open_to_change()?;
+    let mut session = arguments.motor.open_to_send(Opcode::AbsolutePosition)?;
     let motor = arguments.motor.id;
     session.ready(motor)?;
     let here = session.ask(motor, ReadMultiTurnAngle)?.angle;

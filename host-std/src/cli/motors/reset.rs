@@ -1,9 +1,9 @@
 //! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::units::Angle;
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
@@ -23,7 +23,7 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    run_on(&mut arguments.motor.open_to_write()?, arguments.motor.id)
+    run_on(&mut arguments.motor.open_to_send(Opcode::Reset)?, arguments.motor.id)
 }
 
 fn run_on(session: &mut Session, motor: MotorId) -> Outcome {

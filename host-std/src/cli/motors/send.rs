@@ -14,17 +14,19 @@ use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, P
 use super::moving::{ENDS, LONGEST_WAIT, named};
 use super::on_bus::OnBus;
 use super::revision::MotorRevision;
-use super::session::{Consent, Session, say};
+use super::session::{Consent, Session, needs_consent, say, sets_gains};
 use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
 /// Send one command to a motor or to all, and explain what is answered
 ///
-/// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so:
-/// 'myactuator stop' ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped
-/// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
-/// to, 1 if not, 2 for wrong usage.
+/// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so: 'myactuator stop'
+/// ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped (0x81). To all goes one frame
+/// that all hear. Where two motors seem to have the id, or it does not answer, what writes memory, restarts a motor,
+/// lets its shaft go or is not known here is refused; what moves it goes to both, and you are told. Nobody looks before
+/// what only reads or ends motion, before 0xB6, and where all are meant. Exit status: 0 if it was sent and answered by
+/// each motor that had to, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 #[command(arg_required_else_help = false, after_help = format!("{ENDS}\n\n{ENDS_LATER}"))]
 pub(in crate::cli) struct Arguments {
@@ -46,7 +48,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let kind = arguments.command.kind()?;
-    parse::whom(kind, arguments.id)?;
+    let target = parse::whom(kind, arguments.id)?;
     let bus = if reads(kind) { arguments.on.to_look()? } else { arguments.on.to_act()? };
     parse::check_bus(kind, bus.kind())?;
     if let (Some(opcode), Some(firmware)) =
@@ -59,7 +61,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
     let config = Config { firmware: read_as(arguments), ..bus.config() };
     let session = Session::open_with(bus, config)?;
-    run_on(&mut Session { yes: arguments.consent.yes, ..session }, arguments)
+    let mut session = Session { yes: arguments.consent.yes, ..session };
+    if let Target::Motor(motor) = target {
+        session.look_for_two(motor, kind)?;
+    }
+    run_on(&mut session, arguments)
 }
 
 /// The firmware by which replies are read: the one that was given, else the first that has the command.
@@ -77,15 +83,6 @@ fn read_as(arguments: &Arguments) -> Firmware {
 fn reads(kind: Kind) -> bool {
     let has_values = |opcode: Opcode| opcode.reply_rule() == ReplyRule::Values;
     kind.opcode().is_some_and(has_values) && !needs_consent(kind)
-}
-
-fn needs_consent(kind: Kind) -> bool {
-    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain || sets_gains(kind)
-}
-
-/// Gains take effect at once, those in ROM too.
-fn sets_gains(kind: Kind) -> bool {
-    matches!(kind, Kind::Known(Opcode::WritePidRam | Opcode::WritePidRom))
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {

@@ -14,7 +14,8 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, MotorSet};
-use myactuator_protocol_core::{MotorId, Target};
+use myactuator_protocol_core::opcode::Repeat;
+use myactuator_protocol_core::{Kind, MotorId, Opcode, Target};
 
 use super::elsewhere::Watched;
 use super::on_bus::OnBus;
@@ -43,24 +44,22 @@ pub(super) struct OneMotor {
 }
 
 impl OneMotor {
-    /// Opens its bus to write its memory, restart it or let its shaft go. Refuses that where it would happen to two: what
-    /// one of them answers says nothing of the other, which may drop a load or keep what was meant for one.
-    pub(super) fn open_to_write(&self) -> Outcome<Session> {
+    /// Opens its bus to send the motor a command of this kind, which the user is asked about.
+    pub(super) fn open_to_send(&self, opcode: Opcode) -> Outcome<Session> {
         let mut session = Session::open_to_change(&self.on, self.consent)?;
-        session.refuse_shared(self.id)?;
+        session.look_for_two(self.id, opcode.into())?;
         Ok(session)
     }
+}
 
-    /// Opens its bus to move it, and tells whether that would happen to two. It is not refused: both are watched for what
-    /// they answer, are stopped by one stop, and another program that asks the motor looks the same.
-    pub(super) fn open_to_change(&self) -> Outcome<Session> {
-        let mut session = Session::open_to_change(&self.on, self.consent)?;
-        // A motor that does not answer is told of by whoever asks next.
-        if session.is_shared(self.id) == Ok(true) {
-            report("note", format!("{}. Both will do this", shared(self.id)));
-        }
-        Ok(session)
-    }
+/// Whether the user is asked before a command of this kind is sent: it may move a shaft, let it go or write memory.
+pub(super) fn needs_consent(kind: Kind) -> bool {
+    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain || sets_gains(kind)
+}
+
+/// Gains take effect at once, those in ROM too.
+pub(super) fn sets_gains(kind: Kind) -> bool {
+    matches!(kind, Kind::Known(Opcode::WritePidRam | Opcode::WritePidRom))
 }
 
 /// Which motors.
@@ -254,6 +253,25 @@ impl Session {
         Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
     }
 
+    /// Before a command that the user is asked about: looks whether two motors have this id, since both would obey. One
+    /// that does not move is refused then: what one of them answers says nothing of the other, which may drop a load or
+    /// keep what was meant for one. Of one that moves the user is told: both are watched for what they answer, are
+    /// stopped by one stop, and another program that asks the motor looks the same. Nobody looks before 0xB6: reports
+    /// look like a second motor, and it ends them.
+    pub(super) fn look_for_two(&mut self, motor: MotorId, kind: Kind) -> Outcome {
+        if !needs_consent(kind) || kind == Opcode::ActiveReply.into() {
+            return Ok(());
+        }
+        if !kind.moves() {
+            return self.refuse_shared(motor);
+        }
+        // A motor that does not answer is told of by whoever asks next.
+        if self.is_shared(motor) == Ok(true) {
+            report("note", format!("{}. Both will do this", shared(motor)));
+        }
+        Ok(())
+    }
+
     /// Refuses an id that two motors seem to have, after a close look.
     fn refuse_shared(&mut self, motor: MotorId) -> Outcome {
         // Nobody who answers is no motor.
@@ -327,9 +345,46 @@ mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{ErrorFlags, FunctionControl, Switch};
+    use myactuator_protocol_core::opcode::ReplyRule;
     use myactuator_protocol_core::time::Duration;
 
+    use super::super::simulated::sent;
     use super::*;
+
+    /// What is told of what is sent to motor 1 of these, and whether anything was.
+    fn look(fleet: &Fleet, kind: impl Into<Kind>) -> (Outcome, bool) {
+        let fleet = fleet.on_can(1_000_000).unwrap();
+        let log = fleet.world.log();
+        let outcome = Session::on(&fleet).look_for_two(MotorId::MIN, kind.into());
+        (outcome, !sent(&log).is_empty())
+    }
+
+    #[test]
+    fn whatever_the_user_is_asked_about_is_looked_at_and_what_does_not_move_is_refused_to_two() {
+        use Opcode::{
+            ActiveReply, CommunicationLossProtection, FunctionControl, IncrementalPosition,
+            LockBrake, Motion, ReadPid, ReadStatus1, ReleaseBrake, Reset, SetBaudRate,
+            SetEncoderZero, Shutdown, Stop, Torque, WriteAcceleration, WritePidRam, WritePidRom,
+        };
+        let two = Fleet::new(2).all_with_id(MotorId::MIN);
+        let raw = |moves| Kind::Raw { byte: 0xC0, reply: ReplyRule::Values, moves };
+        let writes = [WritePidRam, WritePidRom, WriteAcceleration, SetEncoderZero, Reset];
+        let others = [ReleaseBrake, FunctionControl, CommunicationLossProtection, SetBaudRate];
+        for kind in writes.into_iter().chain(others).map(Kind::from).chain([raw(false)]) {
+            let (outcome, _) = look(&two, kind);
+            assert!(matches!(outcome, Err(Unfinished::Failed(_))), "{kind}: {outcome:?}");
+        }
+        assert_eq!(look(&Fleet::new(1), Reset), (Ok(()), true));
+        for kind in
+            [Torque, IncrementalPosition, Motion].map(Kind::from).into_iter().chain([raw(true)])
+        {
+            assert_eq!(look(&two, kind), (Ok(()), true), "{kind}");
+        }
+        // What reads or ends motion waits for nothing, nor does what ends that one motor looks like two.
+        for kind in [ReadPid, ReadStatus1, Stop, Shutdown, LockBrake, ActiveReply] {
+            assert_eq!(look(&two, kind), (Ok(()), false), "{kind}");
+        }
+    }
 
     #[test]
     fn what_writes_or_lets_go_is_refused_to_two_motors_of_one_id() {

@@ -1,5 +1,6 @@
 //! `myactuator speed`: turning at a speed, for a while.
 
+use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::{self as c, Feedback};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
@@ -37,7 +38,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: false,
         end: StopKind::Hold,
     };
-    let session = &mut arguments.span.motor.open_to_change()?;
+    let session = &mut arguments.span.motor.open_to_send(Opcode::Speed)?;
     run_for::run(session, &arguments.span, &run, |_| Ok(()), told)
 }
 

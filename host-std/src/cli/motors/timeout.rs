@@ -1,8 +1,8 @@
 //! `myactuator timeout`: the motor's own protection against a master that falls silent.
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::session::{OneMotor, say};
 use crate::cli::interrupt::ENDS_LATER;
@@ -30,7 +30,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let (motor, time) = (arguments.motor.id, arguments.time_ms);
-    let mut session = arguments.motor.open_to_write()?;
+    let mut session = arguments.motor.open_to_send(Opcode::CommunicationLossProtection)?;
     note_short(time);
     session.confirm(&question(motor, time))?;
     session.is_finished_first()?;

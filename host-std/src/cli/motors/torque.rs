@@ -1,5 +1,6 @@
 //! `myactuator torque`: running at a torque current, for a while.
 
+use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command as c;
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::Current;
@@ -33,6 +34,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Off,
     };
-    let session = &mut arguments.span.motor.open_to_change()?;
+    let session = &mut arguments.span.motor.open_to_send(Opcode::Torque)?;
     run_for::run(session, &arguments.span, &run, |_| Ok(()), told)
 }

@@ -1,8 +1,8 @@
 //! `myactuator zero`: the present position becomes the zero, and stays it.
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
@@ -23,7 +23,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let motor = arguments.motor.id;
-    let mut session = arguments.motor.open_to_write()?;
+    let mut session = arguments.motor.open_to_send(Opcode::SetCurrentPositionZero)?;
     session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     session.confirm(&format!(
