@@ -2,22 +2,24 @@
 
 use std::fmt::Debug;
 
+use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::Load;
 use myactuator_host_std::sim::{BusFleet, Fleet};
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, Stop, Switch,
+    ActiveReply, BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges,
+    ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, ReportedCommand,
+    Stop, Switch,
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::Receiver;
-use myactuator_protocol_core::{Firmware, RequestError};
+use myactuator_protocol_core::{Firmware, Opcode, RequestError};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
@@ -309,6 +311,26 @@ fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
         assert_eq!(bring_up::is_shared(runner, id(1)), Ok(false));
         listen(runner, millis(17));
     }
+}
+
+/// Each report looks like a second answer until they are ended, of which the other master hears nothing.
+#[test]
+fn a_motor_that_another_master_has_report_looks_like_two() {
+    let bus = Fleet::new(1).on_can(1_000_000).unwrap();
+    let report = |enable, runner: &mut <CanBus as Wire>::Runner<8>| {
+        let command = ReportedCommand::of(Opcode::ReadStatus2).unwrap();
+        let interval = ReportInterval::from_raw(1);
+        runner.ask(id(1), ActiveReply { command, enable, interval }).unwrap();
+    };
+    let (other, runner) = (&mut master(&bus), &mut master(&bus));
+    report(Switch::On, other);
+    assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
+    report(Switch::Off, runner);
+    assert_eq!(bring_up::is_shared(runner, id(1)), Ok(false));
+    // What this master has had it report itself it does not ask for.
+    report(Switch::On, runner);
+    let reported = RequestError::Reported(Opcode::ReadStatus2);
+    assert_eq!(bring_up::is_shared(runner, id(1)), Err(CallError::refused(id(1))(reported)));
 }
 
 fn two_motors_that_report_their_errors_are_two<W: Wire>() {

@@ -286,8 +286,13 @@ pub fn change_id<R: Runner<N>, const N: usize>(
 /// of two motors may become one on a CAN bus. Takes half a second. `true`, too, if nobody answers: ask
 /// [`is_there`] first.
 ///
+/// `true`, too, of one motor that another master asks the same, or that it has had report by itself (0xB6), for each
+/// report is like a second answer. Have that master end it, or [end the reports](crate::command::ActiveReply) here,
+/// which does two motors no harm, and ask again. Reports that this master has switched on itself are an error: a motor
+/// may not answer what it reports. Those of errors (function 3) are told apart.
+///
 /// # Errors
-/// [`CallError`].
+/// [`CallError`]; [`Reported`](crate::error::RequestError::Reported) for what this master has had the motor report.
 pub fn is_shared<R: Runner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
