@@ -13,9 +13,10 @@
 //! on the other, [`bring_up`] (for tasks [`async_bring_up`]) for example. None of them decides anything: that is the
 //! [`Master`](crate::master::Master)'s.
 //!
-//! **One task, or one thread, runs one bus.** Where several want it, one of them owns the loop and does what the others
-//! send it through a channel (`embassy_sync`'s, say); on a host `myactuator_host_std::share` does that for threads. Several
-//! buses run in a task each, or in one by a `join` of their futures, as in the example `two_arms` of `myactuator-host-std`.
+//! **One task, or one thread, runs one bus.** Where several tasks want it, one of them owns the loop and does what the
+//! others signal, or send through a channel (`embassy_sync`'s, say), a stop before all else: see the example
+//! `several_tasks` of `myactuator-host-std`. On a host its `share` does that for threads. Several buses run in a task
+//! each, or in one by a `join` of their futures, as in the example `two_arms`.
 //!
 //! A control loop of eight motors stands in README.md, the whole program in the example `control_loop`
 //! of `myactuator-host-std`.
