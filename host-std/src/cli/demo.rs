@@ -134,7 +134,7 @@ impl Tour {
         let start = self.master.now();
         self.master.ask(motor, AbsolutePosition { max_speed, angle })?;
         for tick in 0.. {
-            self.wait_until(start + Duration::from_millis(100).times(tick))?;
+            self.master.run_until(start + Duration::from_millis(100).times(tick), |_| {})?;
             let degrees = self.master.ask(motor, ReadMultiTurnAngle)?.angle.degrees();
             let speed = self.master.ask(motor, ReadStatus2)?.speed;
             let bar = "#".repeat((degrees / TARGET_DEG * 40.0).clamp(0.0, 40.0) as usize);
@@ -242,15 +242,6 @@ impl Tour {
 
     fn seconds_since(&self, start: Instant) -> f64 {
         (self.master.now() - start).as_micros() as f64 / 1e6
-    }
-
-    fn wait_until(&mut self, until: Instant) -> Told {
-        while self.master.now() < until {
-            if self.master.poll()?.is_none() {
-                self.master.idle(until);
-            }
-        }
-        Ok(())
     }
 }
 
