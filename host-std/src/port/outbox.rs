@@ -14,12 +14,11 @@ const JUNK: [u8; 64] = [b'?'; 64];
 /// The rest of a line that the port has not taken yet.
 ///
 /// It never leaves late: a line of which some is left when the port fails, or takes nothing for too long, is
-/// dropped. The adapter may hold all of it but its end, so that [`JUNK`] goes before that.
+/// dropped. The adapter may hold all of it but its end, or of an earlier one whose end is thrown away with what the
+/// port holds, so that [`JUNK`] goes before anything else.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     rest: Vec<u8>,
-    /// The port has taken some of the line.
-    is_begun: bool,
     /// Since when the port takes nothing; time since the machine started.
     blocked_since: Option<Duration>,
 }
@@ -27,6 +26,12 @@ pub(super) struct Outbox {
 impl Outbox {
     pub(super) fn put(&mut self, command: AdapterCommand) {
         command.encode(&mut self.rest);
+    }
+
+    /// Makes nothing of what the adapter may have of a line, whoever began it.
+    pub(super) fn put_junk(&mut self) {
+        self.rest.extend(JUNK);
+        AdapterCommand::Nothing.encode(&mut self.rest);
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -55,8 +60,7 @@ impl Outbox {
             }
             Ok(taken) => {
                 self.rest.drain(..taken);
-                self.is_begun = !self.rest.is_empty();
-                self.blocked_since = self.is_begun.then_some(now);
+                self.blocked_since = (!self.rest.is_empty()).then_some(now);
             }
             Err(error) => {
                 self.drop_rest();
@@ -66,13 +70,10 @@ impl Outbox {
         Ok(true)
     }
 
-    fn drop_rest(&mut self) {
-        self.rest.clear();
-        self.blocked_since = None;
-        if self.is_begun {
-            self.rest.extend(JUNK);
-            AdapterCommand::Nothing.encode(&mut self.rest);
-        }
+    /// Forgets what the port has not taken.
+    pub(super) fn drop_rest(&mut self) {
+        *self = Self::default();
+        self.put_junk();
     }
 }
 
@@ -104,6 +105,11 @@ mod tests {
         (is_fresh.unwrap(), got)
     }
 
+    /// What makes of any part of a line one that is too long.
+    fn junk() -> Vec<u8> {
+        [&[b'?'; 64][..], b"\r"].concat()
+    }
+
     #[test]
     fn a_line_leaves_in_pieces_as_the_port_takes_it() {
         let mut outbox = with_torque();
@@ -121,6 +127,7 @@ mod tests {
         let mut outbox = with_torque();
         let failed = outbox.send_on(START, |_| Err(PortError::Stalled("made up".into())));
         assert!(failed.is_err());
+        assert_eq!(sent(&mut outbox, 0, 100), (true, junk()));
         assert!(outbox.is_empty());
     }
 
@@ -131,14 +138,14 @@ mod tests {
             let mut outbox = with_torque();
             assert!(sent(&mut outbox, 0, takes).0);
             assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
-            let (_, end) = sent(&mut outbox, 60_000, 100);
-            assert_eq!(end, [&[b'?'; 64][..], b"\r"].concat());
+            assert_eq!(sent(&mut outbox, 60_000, 100), (true, junk()));
             assert!(outbox.is_empty());
         }
-        // None of it: the adapter has heard nothing.
+        // None of it: the adapter may have some of a line before it, of which the port is emptied.
         let mut outbox = with_torque();
         assert!(sent(&mut outbox, 0, 0).0);
         assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
+        assert_eq!(sent(&mut outbox, 60_000, 100), (true, junk()));
         assert!(outbox.is_empty());
         // A port that takes nothing all the while.
         let mut outbox = with_torque();

@@ -70,9 +70,10 @@ impl Slcan {
             outage: Outage::default(),
             backlog: Backlog::default(),
         };
-        // Ends a line that an interrupted program left, and closes what it left open. An adapter that
-        // is closed already refuses that.
-        slcan.set_up(AdapterCommand::Nothing)?;
+        // Makes nothing of a line that an interrupted program left, which may be all of a move but its end, and closes
+        // what it left open. An adapter refuses the first, and one that is closed already the second.
+        slcan.unsent.put_junk();
+        slcan.answer(is_outcome)?;
         slcan.set_up(AdapterCommand::Close)?;
         // Answers to what an earlier program said last may still be on their way.
         let is_quiet = slcan.read_until_quiet()?;
@@ -101,7 +102,7 @@ impl Slcan {
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
     fn set_up(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
         self.unsent.put(command);
-        self.answer(|answer| matches!(answer, Answer::Done | Answer::Refused))
+        self.answer(is_outcome)
     }
 
     /// Waits for such an answer; `None` if none comes.
@@ -165,21 +166,26 @@ impl Slcan {
     }
 }
 
+/// Whether an adapter says that it has done what it was told, or not.
+fn is_outcome(answer: &Answer) -> bool {
+    matches!(answer, Answer::Done | Answer::Refused)
+}
+
 impl Drop for Slcan {
     /// Takes the adapter off the bus, as far as it still listens. It answers once it has taken what was sent
-    /// before; what an adapter that does not answer has not taken by then is thrown away.
+    /// before; what an adapter that does not answer has not taken by then is thrown away, this with it, so that it is told
+    /// once more.
     fn drop(&mut self) {
-        let takes = self.unsent.is_empty();
-        if takes {
+        if self.unsent.is_empty() {
             self.unsent.put(AdapterCommand::Nothing);
             if let Ok(Some(_)) = self.set_up(AdapterCommand::Close) {
                 return;
             }
         }
         let _ = self.tty.discard_output();
-        if !takes {
-            let _ = self.tty.write(b"\rC\r");
-        }
+        self.unsent.drop_rest();
+        self.unsent.put(AdapterCommand::Close);
+        let _ = self.send_on();
     }
 }
 
