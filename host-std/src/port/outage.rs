@@ -26,6 +26,11 @@ impl Outage {
         self.0 = None;
     }
 
+    /// Whether an adapter refuses what it is told.
+    pub(super) const fn is_refusal(&self) -> bool {
+        matches!(self.0, Some(PortError::Refused(_)))
+    }
+
     /// Whether this frame may be sent now; if not, why.
     pub(super) fn admit(&self, frame: &impl Frame) -> Result<(), PortError> {
         match &self.0 {

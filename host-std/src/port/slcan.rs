@@ -22,6 +22,8 @@ const LINE_RATE: u32 = 115_200;
 const ANSWER_TIME: Duration = Duration::from_millis(100);
 /// An adapter that says nothing for so long has said what it had to say.
 const QUIET: Duration = Duration::from_millis(20);
+/// How soon an adapter that refuses what it is told is opened once more.
+const REOPEN_AFTER: Duration = Duration::from_millis(100);
 /// Bytes read at once, and how often in one call at the most.
 const CHUNK: usize = 256;
 const READS_A_CALL: usize = 16;
@@ -33,7 +35,8 @@ const READS_A_CALL: usize = 16;
 /// port meanwhile.
 ///
 /// BEL from the adapter counts as a bus that carries nothing: from then until a frame comes,
-/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor. A port that takes
+/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor. Meanwhile it opens the adapter once
+/// more, ten times a second, with what it sends: one that has restarted by itself takes no stop before. A port that takes
 /// nothing for 20 ms is emptied, for what it holds is stale. What its driver does not give back, and
 /// what the adapter itself holds, may be sent when the bus is back, and many adapters report nothing
 /// at all: protect the drives on their own side, by communication-loss protection (0xB3).
@@ -43,6 +46,9 @@ const READS_A_CALL: usize = 16;
 #[derive(Debug)]
 pub struct Slcan {
     tty: Tty,
+    rate: Rate,
+    /// When it was told to open last.
+    opened: Instant,
     codec: Codec,
     /// What has arrived and is still to be looked at.
     unread: VecDeque<u8>,
@@ -64,6 +70,8 @@ impl Slcan {
     pub fn open(path: impl AsRef<Path>, rate: Rate) -> Result<Self, PortError> {
         let mut slcan = Self {
             tty: Tty::open(path.as_ref(), LINE_RATE)?,
+            rate,
+            opened: Instant::now(),
             codec: Codec::default(),
             unread: VecDeque::new(),
             unsent: Outbox::default(),
@@ -97,6 +105,16 @@ impl Slcan {
     pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::with_backlog(self, self.backlog.clone())
             .map_err(|error| PortError::os(self.tty.name(), error))
+    }
+
+    /// An adapter that refuses what it is told may have restarted, and be off the bus. One that is not refuses this, too,
+    /// or does it again.
+    fn reopen_if_refused(&mut self) {
+        if self.outage.is_refusal() && self.opened.elapsed() >= REOPEN_AFTER {
+            self.opened = Instant::now();
+            self.unsent.put(AdapterCommand::SetRate(self.rate));
+            self.unsent.put(AdapterCommand::Open);
+        }
     }
 
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
@@ -205,6 +223,7 @@ impl Can for Slcan {
             return Err(nb::Error::WouldBlock);
         }
         self.outage.admit(frame)?;
+        self.reopen_if_refused();
         self.unsent.put(AdapterCommand::Transmit(*frame));
         self.send_on()?;
         Ok(None)

@@ -13,12 +13,15 @@ use embedded_can::{Frame as _, StandardId};
 use myactuator_host_std::open::{AnyMaster, BusError};
 use myactuator_host_std::port::{HostClock, PortError, Slcan};
 use myactuator_host_std::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
-use myactuator_protocol_core::io::Clock as _;
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, Torque};
+use myactuator_protocol_core::io::{Clock as _, Runner as _};
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::Current;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use rustix::event::{PollFd, PollFlags, poll};
 
-use crate::drive::{self, answer, ask_and_stop};
+use crate::drive::{self, answer, ask_and_stop, motor};
 use crate::pty;
 
 /// What kind of adapter is played.
@@ -30,6 +33,8 @@ struct Adapter {
     refuses_to_open: bool,
     /// It cannot send torque commands.
     refuses_torque: bool,
+    /// It restarts when it is sent a torque command.
+    restarts_at_torque: bool,
     /// What it says before every frame that it received.
     noise: &'static [u8],
     /// What it says before it answers, for another program had sent it something.
@@ -69,6 +74,12 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
                     AdapterCommand::Transmit(frame)
                         if adapter.refuses_torque && frame.data()[0] == TORQUE =>
                     {
+                        tell(Answer::Refused);
+                    }
+                    AdapterCommand::Transmit(frame)
+                        if adapter.restarts_at_torque && frame.data()[0] == TORQUE =>
+                    {
+                        is_open = false;
                         tell(Answer::Refused);
                     }
                     AdapterCommand::Transmit(frame) if is_open => {
@@ -394,4 +405,23 @@ fn a_frame_goes_once_however_the_port_takes_it() {
     }
     drop(can);
     assert!(torques_among(&device.join().unwrap()) <= taken);
+}
+
+/// Its supply fails for a moment, and its serial port does not: it is off the bus.
+#[test]
+fn a_stop_goes_through_an_adapter_that_has_restarted() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter { restarts_at_torque: true, ..Adapter::default() });
+    let mut master = open(&path).unwrap();
+    master.ask(motor(1), ReadMultiTurnAngle).unwrap();
+    let torque = Torque { current: Current::from_raw(100) };
+    assert!(master.set_point_and_wait(motor(1), torque).is_err());
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    // It stays open: nobody tells it so again and again.
+    master.ask(motor(1), ReadMultiTurnAngle).unwrap();
+    drop(master);
+    let heard = device.join().unwrap();
+    let opened = heard.iter().filter(|command| **command == AdapterCommand::Open).count();
+    let rates = heard.iter().filter(|it| **it == AdapterCommand::SetRate(Rate::Mbit1)).count();
+    assert_eq!((opened, rates), (2, 2), "{heard:?}");
 }
