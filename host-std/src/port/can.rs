@@ -262,6 +262,43 @@ mod tests {
         assert!(rounds < 10, "{rounds}");
     }
 
+    /// As `linux/can.h` lays it out; bit 29 of the identifier marks a report.
+    fn from_kernel(id: u32) -> Vec<u8> {
+        [&id.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat()
+    }
+
+    #[test]
+    fn after_a_report_nothing_that_moves_is_sent_until_a_frame_comes() {
+        let (mut can, other) = made();
+        let [torque, stop] = [0xA1, 0x81].map(|first| {
+            CanFrame::new(StandardId::new(0x141).unwrap(), &[first, 0, 0, 0, 0, 0, 0, 0]).unwrap()
+        });
+        can.transmit(&torque).unwrap();
+        // No acknowledgement, which the receiver hears of in its turn.
+        other.send(&from_kernel(0x2000_0020)).unwrap();
+        assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+        let Err(nb::Error::Other(PortError::NotAcknowledged(_))) = can.transmit(&torque) else {
+            panic!("a dead bus gets what moves")
+        };
+        can.transmit(&stop).unwrap();
+        other.send(&from_kernel(0x241)).unwrap();
+        assert_eq!(can.receive().unwrap().id(), StandardId::new(0x241).unwrap().into());
+        can.transmit(&torque).unwrap();
+    }
+
+    #[test]
+    fn a_clock_wakes_up_when_a_socket_that_took_nothing_has_room() {
+        let (mut can, other) = made();
+        let clock = can.clock().unwrap();
+        let read = CanFrame::new(StandardId::new(0x141).unwrap(), &[0x92; 8]).unwrap();
+        while can.transmit(&read).is_ok() {}
+        other.set_nonblocking(true).unwrap();
+        while other.recv(&mut [0; 16]).is_ok() {}
+        let begun = clock.now();
+        clock.idle(begun + Duration::from_secs(60));
+        assert!(clock.now() - begun < Duration::from_secs(30));
+    }
+
     #[test]
     fn the_kernels_answers_become_sentences() {
         let told = |errno: Errno| explain("can7", errno.into()).to_string();

@@ -88,8 +88,34 @@ fn an_adapter_that_is_pulled_out_is_told() {
 
 #[test]
 fn what_nobody_takes_is_thrown_away() {
-    let (_line, path) = pty::open();
+    let (mut line, path) = pty::open();
     let mut port = Rs485::open(&path, 115_200).unwrap();
-    let error = (0..10_000).find_map(|_| port.write_all(&[0; 100]).err()).unwrap();
+    let mut taken = 0;
+    let error = loop {
+        match port.write(&[0; 100]) {
+            Ok(length) => taken += length,
+            Err(error) => break error,
+        }
+    };
     assert!(matches!(error, PortError::Stalled(_)), "{error}");
+    drop(port);
+    let (mut heard, mut chunk) = (0, [0; 256]);
+    while let Ok(length @ 1..) = line.read(&mut chunk) {
+        heard += length;
+    }
+    assert!(heard < taken, "{heard} of {taken}");
+}
+
+/// What an earlier program was answered is no answer to this one: of a stop, say.
+#[test]
+fn what_came_before_a_port_was_opened_is_not_heard() {
+    let (mut line, path) = pty::open();
+    // The terminal lives on, as a serial port does.
+    let earlier = std::fs::File::open(&path).unwrap();
+    line.write_all(b"early\n").unwrap();
+    while rustix::io::ioctl_fionread(&earlier).unwrap() == 0 {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    let mut port = Rs485::open(&path, 115_200).unwrap();
+    assert!(!port.read_ready().unwrap());
 }
