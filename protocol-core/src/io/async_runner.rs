@@ -19,8 +19,9 @@ use crate::time::Instant;
 /// The bus moves only while one of these futures is awaited. Any of them may be dropped, by a
 /// `select` or a time-out: no event is lost and no frame is sent twice. A request whose
 /// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end. But what a stop
-/// [would refuse](crate::Kind::is_refused_while_stopped), such as a move, is not sent from then on: who knows when the
-/// bus moves next? One that the bus has taken already is carried out, as [`Master::withdraw`] has it: stop the motor.
+/// [would refuse](crate::Kind::is_refused_while_stopped), such as a move or a set-point whose feedback was waited for, is
+/// not sent from then on: who knows when the bus moves next? One that the bus has taken already is carried out, as
+/// [`Master::withdraw`] has it: stop the motor.
 ///
 /// Of other events it is as with [`Runner`](crate::io::Runner): a call that waits passes them over.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
@@ -121,9 +122,15 @@ pub trait AsyncRunner<const N: usize> {
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
         self.set_point(motor, command)?;
+        // While it waits nobody else has this loop, so it is the newest.
+        let waiting = OnDrop::new(self, |runner: &mut &mut Self| {
+            runner.master().withdraw_set_point(motor);
+        });
         loop {
-            let event = self.next_event().await.map_err(CallError::Bus)?;
-            if let Some(outcome) = outcome_of_set_point::<C, N>(self.master(), motor, &event) {
+            let event = waiting.it.next_event().await.map_err(CallError::Bus)?;
+            if let Some(outcome) = outcome_of_set_point::<C, N>(waiting.it.master(), motor, &event)
+            {
+                waiting.end();
                 return outcome.map_err(|failure| CallError::Failed { motor, failure });
             }
         }

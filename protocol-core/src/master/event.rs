@@ -168,7 +168,7 @@ pub enum Event {
         motor: MotorId,
     },
     /// A set-point was dropped before it was sent: it waited too long, the bus carried nothing, the motor was told to
-    /// end its motion, or it has restarted.
+    /// end its motion, or it has restarted, or whoever waited for its feedback has left.
     SetPointDropped {
         /// The motor.
         motor: MotorId,

@@ -133,6 +133,11 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
     }
 
+    /// Nobody waits for the feedback of a motor's newest set-point any more: it is not sent if it waits.
+    pub(crate) fn withdraw_set_point(&mut self, motor: MotorId) {
+        self.change(motor, |motor, _| motor.drop_waiting_set_point());
+    }
+
     /// Whether a motor's newest set-point was dropped before it was sent.
     pub(crate) fn is_newest_set_point_dropped(&self, motor: MotorId) -> bool {
         self.motor(motor).is_some_and(|motor| motor.is_newest_dropped)

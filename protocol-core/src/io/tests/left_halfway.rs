@@ -1,7 +1,7 @@
 //! What was asked for by a future that is dropped.
 
 use super::world::{TestCan, TestClock, block_on, on_can, polls};
-use super::{id, step};
+use super::{id, step, torque};
 use crate::command::{AbsolutePosition, ReadMultiTurnAngle, Shutdown};
 use crate::io::{AsyncCanMaster, AsyncRunner, Clock};
 use crate::master::{Event, Failure, Patience};
@@ -43,6 +43,19 @@ fn nor_are_several() {
     assert!(polls(arm.ask_together([(id(1), step()), (id(2), step())]), 10).is_none());
     assert_eq!(an_hour_later(&clock, &mut arm).len(), 2);
     assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+}
+
+/// Not even at once, while a set-point is not too old.
+#[test]
+fn nor_is_a_set_point_whose_feedback_nobody_waits_for() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.set_point_and_wait(id(1), torque()), 1).is_none());
+    let mut events = std::vec::Vec::new();
+    let until = clock.now() + Duration::from_millis(20);
+    block_on(arm.run_until(until, |event| events.push(event))).unwrap();
+    assert_eq!(events, [Event::SetPointDropped { motor: id(1) }]);
+    assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+    assert!(block_on(arm.set_point_and_wait(id(1), torque())).is_ok());
 }
 
 #[test]
