@@ -2,7 +2,8 @@
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
 //! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too. A [`Robot`] is several such
-//! buses from one file. What is to go wrong, and when, is a [`PlannedFault`].
+//! buses from one file. What is to go wrong, and when, is a [`PlannedFault`]. A test that no load ever falls, whatever
+//! goes wrong, has [`BusFleet::watch`].
 //!
 //! | module | for |
 //! |---|---|
@@ -75,6 +76,7 @@ mod shared_supply;
 mod strike;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use condition::{Condition, ConditionQuantity};
 pub use fleet::{
