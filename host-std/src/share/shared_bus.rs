@@ -250,7 +250,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// waits itself.
     ///
     /// So it says nothing of what becomes of it: a motor that has fallen silent is refused set-points after a second
-    /// only, as one that may have restarted. See when it was [heard](Self::latest) last, or [subscribe](Self::subscribe).
+    /// only, as one that may have restarted, and one that was never heard, such as a wrong id, is refused none. See when it
+    /// was [heard](Self::latest) last, or [subscribe](Self::subscribe).
     ///
     /// # Errors
     /// [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was not taken,

@@ -92,6 +92,10 @@ impl<const N: usize> Master<N> {
     /// queued up; one that waits for longer than
     /// [`Config::set_point_max_age`](crate::master::Config::set_point_max_age) is dropped.
     ///
+    /// That nobody answers is an event each time ([`SetPointUnanswered`](crate::master::Event::SetPointUnanswered)), and
+    /// never an error where the motor was never heard, such as a wrong id: see when its
+    /// [feedback](Self::latest_feedback) came last.
+    ///
     /// # Errors
     /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
     /// [restarted](crate::master::Event::Restarted), a request of the same kind is under way, or there is no place for
