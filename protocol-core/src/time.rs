@@ -174,6 +174,13 @@ impl fmt::Display for Duration {
     }
 }
 
+/// As the time since the clock's start.
+impl fmt::Display for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        (*self - Self::ZERO).fmt(f)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::format;
@@ -200,5 +207,6 @@ mod tests {
     fn prints_milliseconds() {
         assert_eq!(Duration::from_micros(5_000).to_string(), "5 ms");
         assert_eq!(Duration::from_micros(1_050).to_string(), "1.050 ms");
+        assert_eq!(format!("[{:>9}]", Instant::from_micros(1_050)), "[ 1.050 ms]");
     }
 }
