@@ -14,9 +14,9 @@
 //!     │    │ button held            │ trouble, button              │ trouble, button
 //!     │    ▼                        ▼                              │
 //!     │  ShuttingDown ──────────▶ Stopping ◀───────────────────────┘
-//!     │                             │  ▲
-//!     └─────────────────────────────┘  └── every start, whatever its cause
-//!        all confirmed, or too late
+//!     │                           │  ▲  ▲
+//!     └───────────────────────────┘  │  └── every start, whatever its cause
+//!        all confirmed, or too late  └── Looking, once, where a shutdown was broken off
 //! ```
 //!
 //! Nothing moves until the button was pressed, whatever happened before.

@@ -150,4 +150,7 @@ pub enum StateName {
     Running,
     /// Locks brakes and switches outputs off, and looks whether the shafts stand then.
     ShuttingDown,
+    /// A shutdown was broken off: looks whether the shafts stand behind the brakes that were told to lock, and has
+    /// those that turn hold again.
+    Looking,
 }

@@ -4,6 +4,7 @@ mod brakes;
 mod heard;
 mod panel;
 mod refused;
+mod shutdown;
 mod states;
 
 use myactuator_host_std::sim::bus::can::CanBus;

@@ -1,6 +1,7 @@
 //! What happens in each cycle.
 
 mod button;
+mod locks;
 mod motor;
 mod path;
 mod rounds;
@@ -15,11 +16,12 @@ use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use self::button::{Button, Press};
+use self::locks::Locks;
 use self::motor::Motor;
 use self::rounds::Rounds;
-use self::script::{Answer, Question, Script, Step};
+use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
-use self::state::State;
+use self::state::{State, Then};
 use crate::board::{Board, RestartCause, Usage};
 use crate::report::{Report, Trouble};
 
@@ -62,8 +64,7 @@ pub struct App<const N: usize> {
     /// Those that are missed when they do not answer: the required ones, and whoever has answered anything
     /// since the start.
     expected: MotorSet,
-    /// Those that have reported an error: their brakes are to be told to lock.
-    to_lock: MotorSet,
+    locks: Locks,
     rounds: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors.
@@ -83,7 +84,7 @@ impl<const N: usize> App<N> {
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             motors: Vec::new(),
             expected: setup.required,
-            to_lock: MotorSet::EMPTY,
+            locks: Locks::new(),
             rounds: Rounds::new(at.now),
             button: Button::new(),
             // Who restarts by itself was running, perhaps, and stops.
@@ -184,22 +185,22 @@ impl<const N: usize> App<N> {
     }
 
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
-        // To look through all ids would take some 200 instructions a cycle.
-        if !self.to_lock.is_empty() {
-            self.lock_brakes(at);
-        }
+        // Before anything else is asked.
+        self.locks.ask(&self.setup, at.master);
         match &mut self.state {
-            State::Stopping { kind, waiting, unconfirmed, until } => {
+            State::Stopping { kind, waiting, unconfirmed, until, then } => {
                 if waiting.is_empty() || at.now >= *until {
                     let unconfirmed = both(*waiting, *unconfirmed);
-                    let (kind, again) = (*kind, at.now);
-                    let unheard = unconfirmed.without(self.expected);
-                    if !unheard.is_empty() {
-                        at.board.log(&Report::Unheard { motors: unheard });
+                    let kind = *kind;
+                    match *then {
+                        Then::Looking => {
+                            let confirmed = self.expected.without(unconfirmed);
+                            let script = Script::look(confirmed, *until);
+                            let turning = MotorSet::EMPTY;
+                            self.enter(State::Looking { script, turning, unconfirmed }, at);
+                        }
+                        Then::Stopped => self.tell_stopped(kind, unconfirmed, at),
                     }
-                    at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
-                    // The unheard get their stop again, too: one whose replies are lost may hear it.
-                    self.enter(State::Stopped { kind, unconfirmed, again }, at);
                 }
             }
             State::Stopped { kind, unconfirmed, again } => {
@@ -211,13 +212,12 @@ impl<const N: usize> App<N> {
             }
             State::Finding(script)
             | State::Preparing(script)
-            | State::ShuttingDown { script, .. } => {
-                match script.go_on(&self.setup, at.master, at.now) {
-                    Step::Waiting => {}
-                    Step::Refused(motor) => self.trouble(Trouble::Refused { motor }, at),
-                    Step::Over => self.script_is_over(at),
-                }
-            }
+            | State::ShuttingDown { script, .. }
+            | State::Looking { script, .. } => match script.go_on(&self.setup, at.master, at.now) {
+                Step::Waiting => {}
+                Step::Refused(motor) => self.trouble(Trouble::Refused { motor }, at),
+                Step::Over => self.script_is_over(at),
+            },
             State::Running { cycles, overruns, .. } => {
                 *cycles = cycles.saturating_add(1);
                 *overruns = overruns.saturating_add(is_late.into());
@@ -229,41 +229,51 @@ impl<const N: usize> App<N> {
         self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
     }
 
-    /// Before anything else is asked. One that is being stopped gets it behind that.
-    fn lock_brakes(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        for motor in self.to_lock.iter() {
-            if Question::LockBrake.ask(motor, &self.setup, at.master).is_ok() {
-                self.to_lock.remove(motor);
-            }
+    fn tell_stopped(
+        &mut self,
+        kind: StopKind,
+        unconfirmed: MotorSet,
+        at: &mut Moment<'_, N, impl Board>,
+    ) {
+        let unheard = unconfirmed.without(self.expected);
+        if !unheard.is_empty() {
+            at.board.log(&Report::Unheard { motors: unheard });
         }
+        at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
+        // The unheard get their stop again, too: one whose replies are lost may hear it.
+        self.enter(State::Stopped { kind, unconfirmed, again: at.now }, at);
     }
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        match &self.state {
-            State::Finding(_) if self.motors.is_empty() => {
+        let found = self.found();
+        match &mut self.state {
+            State::Finding(_) if found.is_empty() => {
                 self.trouble(Trouble::NoMotor, at);
             }
             State::Finding(_) => {
                 // Nothing moves yet; but opening a brake is refused while a stop is in force.
                 at.master.lift_stop();
-                self.enter(State::Preparing(Script::prepare(self.found(), at.now)), at);
+                self.enter(State::Preparing(Script::prepare(found, at.now)), at);
             }
-            State::ShuttingDown { script, turning } => {
-                let turning = *turning;
-                match script.next_of_shutting_down(self.expected, turning, at.now) {
-                    Some(script) => {
-                        if !turning.is_empty() {
+            State::ShuttingDown { script, turning } | State::Looking { script, turning, .. } => {
+                let is_any_turning = !turning.is_empty();
+                match script.next_of_shutting_down(self.expected, *turning, at.now) {
+                    Some(next) => {
+                        *script = next;
+                        if is_any_turning {
                             // As above: brakes are to open.
                             at.master.lift_stop();
                         }
-                        self.state = State::ShuttingDown { script, turning };
                     }
-                    None if turning.is_empty() => self.stop(StopKind::Off, at),
-                    None => self.stop(StopKind::Hold, at),
+                    None if is_any_turning => self.stop(StopKind::Hold, at),
+                    None if matches!(self.state, State::Looking { .. }) => {
+                        self.stop(self.setup.stop, at);
+                    }
+                    None => self.stop(StopKind::Off, at),
                 }
             }
             State::Preparing(script) => {
-                match script.next_of_preparing(&self.setup, self.found(), at.now) {
+                match script.next_of_preparing(&self.setup, found, at.now) {
                     Some(next) => self.state = State::Preparing(next),
                     None => {
                         for motor in &mut self.motors {
@@ -320,10 +330,12 @@ impl<const N: usize> App<N> {
 
     /// The outcome of a request: that of the rounds or the script's.
     fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
+        self.locks.note(event);
         let answer = self.rounds.take(event).or_else(|| match &mut self.state {
             State::Finding(script)
             | State::Preparing(script)
-            | State::ShuttingDown { script, .. } => script.take(event),
+            | State::ShuttingDown { script, .. }
+            | State::Looking { script, .. } => script.take(event),
             _ => None,
         });
         let Some((motor, answer)) = answer else { return };
@@ -382,10 +394,17 @@ impl<const N: usize> App<N> {
     fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
         if let Trouble::Errors { motor, .. } = trouble {
             // Also then: it confirms a stop and holds nothing, and its brake may have been told to open.
-            self.to_lock.insert(motor);
+            self.locks.want(motor);
         }
-        if matches!(self.state, State::Stopping { .. } | State::Stopped { .. }) {
-            return;
+        match self.state {
+            State::Stopping { .. } | State::Stopped { .. } => return,
+            // Nothing else keeps those that turn from being held again.
+            State::Looking { .. }
+                if !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. }) =>
+            {
+                return;
+            }
+            _ => {}
         }
         at.board.log(&Report::Trouble(trouble));
         if trouble != Trouble::Button {
@@ -395,22 +414,37 @@ impl<const N: usize> App<N> {
             // It has cut its output, and its brake is told to lock: the others are shut down all the same.
             (State::ShuttingDown { .. }, Trouble::Errors { .. }) => {}
             // It holds again once all were looked at.
-            (State::ShuttingDown { turning, .. }, Trouble::Turns { motor }) => {
-                turning.insert(motor)
+            (
+                State::ShuttingDown { turning, .. } | State::Looking { turning, .. },
+                Trouble::Turns { motor },
+            ) => turning.insert(motor),
+            // With a brake that is not locked, off is no stop; behind one that slips, nor is that.
+            (State::ShuttingDown { script, .. }, _) => {
+                // Who has not confirmed the stop by then is not waited for: a load may fall.
+                let until = script.shows_at(at.now);
+                self.stop_until(until, self.setup.stop, Then::Looking, at);
             }
-            // Also while they are being shut down: with a brake that is not locked, off is no stop.
             _ => self.stop(self.setup.stop, at),
         }
     }
 
     fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
+        self.stop_until(at.now + LONGEST_STOP, kind, Then::Stopped, at);
+    }
+
+    fn stop_until(
+        &mut self,
+        until: Instant,
+        kind: StopKind,
+        then: Then,
+        at: &mut Moment<'_, N, impl Board>,
+    ) {
         let all = self.known();
         // Those that the master has no place for stay unconfirmed.
         let _ = at.master.stop_all(kind, all);
         let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
-        let until = at.now + LONGEST_STOP;
-        self.enter(State::Stopping { kind, waiting, unconfirmed, until }, at);
+        self.enter(State::Stopping { kind, waiting, unconfirmed, until, then }, at);
     }
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
@@ -467,7 +501,9 @@ impl<const N: usize> App<N> {
     fn attended(&self) -> MotorSet {
         match self.state {
             State::Stopping { .. } => MotorSet::EMPTY,
-            State::Stopped { unconfirmed, .. } => self.expected.without(unconfirmed),
+            State::Stopped { unconfirmed, .. } | State::Looking { unconfirmed, .. } => {
+                self.expected.without(unconfirmed)
+            }
             _ => self.expected,
         }
     }

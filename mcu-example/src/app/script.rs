@@ -217,6 +217,19 @@ impl Script {
         }
     }
 
+    /// When the shafts can be looked at if this shutdown is broken off now: whatever holds them then has begun to.
+    pub(super) fn shows_at(&self, now: Instant) -> Instant {
+        match self.questions {
+            LOCK => now + BRAKE_MOVES,
+            _ => self.not_before.max(now + FALLS),
+        }
+    }
+
+    /// Do the shafts of these motors stand? It goes on as a shutdown does.
+    pub(super) const fn look(motors: MotorSet, not_before: Instant) -> Self {
+        Self::new(LOOK_AGAIN, motors, not_before)
+    }
+
     const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {
         Self { questions, next: 0, left: motors, asked: None, not_before }
     }

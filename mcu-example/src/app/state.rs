@@ -9,12 +9,44 @@ use crate::report::StateName;
 /// The state, with what belongs to it.
 #[derive(Debug)]
 pub(super) enum State {
-    Stopping { kind: StopKind, waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
-    Stopped { kind: StopKind, unconfirmed: MotorSet, again: Instant },
+    Stopping {
+        kind: StopKind,
+        waiting: MotorSet,
+        unconfirmed: MotorSet,
+        until: Instant,
+        then: Then,
+    },
+    Stopped {
+        kind: StopKind,
+        unconfirmed: MotorSet,
+        again: Instant,
+    },
     Finding(Script),
     Preparing(Script),
-    Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
-    ShuttingDown { script: Script, turning: MotorSet },
+    Running {
+        since: Instant,
+        cycles: u32,
+        overruns: u32,
+        next_second: Instant,
+    },
+    ShuttingDown {
+        script: Script,
+        turning: MotorSet,
+    },
+    /// A shutdown was broken off: brakes were told to lock, behind which no motor holds, and may slip.
+    Looking {
+        script: Script,
+        turning: MotorSet,
+        unconfirmed: MotorSet,
+    },
+}
+
+/// What comes when the motors were stopped.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Then {
+    Stopped,
+    /// Their shafts are looked at, not before the stop was waited for: brakes have had the time to lock then.
+    Looking,
 }
 
 impl State {
@@ -26,6 +58,7 @@ impl State {
             Self::Preparing(_) => StateName::Preparing,
             Self::Running { .. } => StateName::Running,
             Self::ShuttingDown { .. } => StateName::ShuttingDown,
+            Self::Looking { .. } => StateName::Looking,
         }
     }
 }

@@ -76,7 +76,7 @@ fn after_a_motor_restarted_its_brake_does_not_open_before_it_holds<B: Moved>() {
 }
 
 /// Motors with a slow brake, if any, and a heavy arm each, stretched out.
-fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
+pub(super) fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: -90.0 };
     let load = Load { arm: Some(arm), ..Load::NONE };
@@ -153,7 +153,7 @@ fn whoever_has_an_error_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
 }
 
 /// A firmware whose motors have run and hold, about to be shut down; and where their shafts are.
-fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, Vec<f64>) {
+pub(super) fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, Vec<f64>) {
     let mut firmware = Firmware::running(bus);
     firmware.run_for(millis(500));
     firmware.press(millis(50));
@@ -162,17 +162,17 @@ fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, Vec<f64>) {
     (firmware, bus.drives.iter().map(angle_deg).collect())
 }
 
-fn is_off(drive: &DriveHandle) -> bool {
+pub(super) fn is_off(drive: &DriveHandle) -> bool {
     !state(drive).output_on
 }
 
 /// How far each has fallen.
-fn fallen_deg<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64]) -> Vec<f64> {
+pub(super) fn fallen_deg<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64]) -> Vec<f64> {
     bus.drives.iter().zip(before_deg).map(|(drive, before)| before - angle_deg(drive)).collect()
 }
 
 #[track_caller]
-fn has_none_fallen<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64], most_deg: f64) {
+pub(super) fn has_none_fallen<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64], most_deg: f64) {
     let fallen = fallen_deg(bus, before_deg);
     assert!(fallen.iter().all(|fallen| fallen.abs() < most_deg), "fallen by {fallen:?} degrees");
 }

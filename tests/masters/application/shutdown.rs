@@ -1,0 +1,145 @@
+//! What a shutdown does for loads that their brakes do not hold, whatever comes in between.
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::plant::{Arm, Load};
+use myactuator_mcu_example::{Moment, Report, Setup, StateName, Trouble};
+use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::StopKind;
+use myactuator_tests::fleet::state;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis};
+
+use super::brakes::{before_shutdown, fallen_deg, has_none_fallen, is_off, loaded};
+use super::{Firmware, Moved, Panel, angle_deg, unplug};
+
+on_both_buses! {
+    a_load_that_begins_to_fall_slowly_is_held_again
+    an_error_behind_a_brake_that_is_opened_again_locks_it_at_once
+    what_slips_in_a_shutdown_that_is_broken_off_is_held_again
+    a_product_that_stops_by_switching_off_holds_nothing
+}
+
+/// Holds the button until the motors are being shut down.
+fn shut_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
+    firmware.panel.is_button_down = true;
+    firmware.run_until(Report::State(StateName::ShuttingDown), millis(1_100));
+    firmware.panel.is_button_down = false;
+}
+
+/// Nobody has a brake, and who is looked at in the moment in which it was switched off does not turn yet.
+fn a_load_that_begins_to_fall_slowly_is_held_again<B: Moved>() {
+    for mass_kg in [0.5, 1.0] {
+        let arm = Arm { mass_kg, length_m: 0.4, down_deg: -90.0 };
+        let load = Load { arm: Some(arm), ..Load::NONE };
+        let bus = B::drives(&Fleet::new(1).load(load)).unwrap();
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(1_000));
+        assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(1) }], "{mass_kg} kg");
+        assert!(!is_off(&bus.drives[0]));
+        has_none_fallen(&bus, &before_deg, 5.0);
+    }
+}
+
+/// The drive obeys 0x77 whatever its errors, and holds nothing behind that.
+fn an_error_behind_a_brake_that_is_opened_again_locks_it_at_once<B: Moved>() {
+    let open_ms = |is_broken_off: bool, after_ms: u64| {
+        let bus = loaded::<B>(8, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        let last = &bus.drives[7];
+        last.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        shut_down(&mut firmware);
+        if is_broken_off {
+            firmware.run_for(millis(25));
+            firmware.press(millis(30));
+        }
+        firmware.run_until(Report::Trouble(Trouble::Turns { motor: id(8) }), millis(400));
+        firmware.run_for(millis(after_ms));
+        last.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        let is_open = |_: &u64| {
+            firmware.run_for(millis(1));
+            state(last).brake == BrakeCommand::RELEASE
+        };
+        (0..500).filter(is_open).count()
+    };
+    for is_broken_off in [false, true] {
+        let open_ms: Vec<_> = (0..10).map(|after_ms| open_ms(is_broken_off, after_ms)).collect();
+        assert!(open_ms.iter().any(|&ms| ms > 0), "no brake was open: {open_ms:?}");
+        // Before any brake has opened.
+        assert!(open_ms.iter().all(|&ms| ms < 50), "{is_broken_off}: open for {open_ms:?} ms");
+    }
+}
+
+/// What breaks a shutdown off.
+#[derive(Clone, Copy, Debug)]
+enum Why {
+    Button,
+    BusError,
+    /// Another motor.
+    Silent,
+}
+
+/// In it no drive holds, and the stop that breaks it off does nothing behind a brake that was told to lock.
+fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
+    // While the brakes lock, while the outputs are switched off, and while one that turns is to hold again.
+    for after_ms in [2, 25, 100, 190, 202, 204, 206, 208, 210, 215] {
+        for why in [Why::Button, Why::BusError, Why::Silent] {
+            let bus = loaded::<B>(3, true);
+            let (mut firmware, before_deg) = before_shutdown(&bus);
+            bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+            shut_down(&mut firmware);
+            firmware.run_for(millis(after_ms));
+            match why {
+                Why::Button => {
+                    firmware.press(millis(30));
+                    // Whoever sees something fall presses again, as soon as that cannot start anything.
+                    if after_ms < 100 {
+                        firmware.run_for(millis(60));
+                        firmware.press(millis(30));
+                    }
+                }
+                Why::BusError => {
+                    let Firmware { runner, app, panel, .. } = &mut firmware;
+                    let now = runner.now();
+                    app.handle_bus_error(&mut Moment {
+                        now,
+                        master: runner.master(),
+                        board: panel,
+                    });
+                }
+                Why::Silent => unplug(&bus, &bus.drives[2]),
+            }
+            firmware.run_for(millis(1_000));
+            let told = &firmware.panel.reports;
+            assert!(!is_off(&bus.drives[1]), "{why:?} after {after_ms} ms: {told:?}");
+            let fallen = fallen_deg(&bus, &before_deg);
+            // It falls while the one that is silent is waited for, too.
+            let most_deg = if matches!(why, Why::Silent) { 45.0 } else { 30.0 };
+            assert!(
+                fallen[1] < most_deg && fallen[0].abs() < 0.5,
+                "{why:?} after {after_ms} ms: {fallen:?}"
+            );
+            let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+            firmware.stays_stopped();
+            has_none_fallen(&bus, &held_deg, 0.5);
+        }
+    }
+}
+
+/// At the start, where an earlier firmware may have left them holding, and where anything is wrong.
+fn a_product_that_stops_by_switching_off_holds_nothing<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    drop(Firmware::running(&bus));
+    assert!(!bus.drives.iter().any(is_off));
+    let setup = Setup { stop: StopKind::Off, ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_for(millis(100));
+    assert!(bus.drives.iter().all(is_off));
+    firmware.run_for(millis(1_400));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    firmware.press(millis(50));
+    firmware.run_for(millis(100));
+    assert!(bus.drives.iter().all(is_off));
+}
