@@ -206,7 +206,7 @@ impl Motor {
     /// handed back for example, keeps a claim, but to a few only: it may be itself what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
-        let claim = if waits && !self.is_silent() { LONGEST_CLAIM } else { LONGEST_LEAD };
+        let claim = if waits { LONGEST_CLAIM } else { LONGEST_LEAD };
         // Who was stopped again and again is not as far ahead as that.
         let latest = pace.wrapping_add(LONGEST_LEAD);
         if is_before(latest, self.round) {

@@ -638,3 +638,38 @@ fn a_move_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
     reply(&mut master, 1, Shutdown.encode(), answered).unwrap();
     assert_eq!(sent(&mut master, answered), [packet_to_all(torque(1.0).encode())]);
 }
+
+/// Frames of 125 us, commands before answers and these by id, a FIFO of three, a host that looks at once, and drives
+/// that answer 250 us behind their command: whoever's answer makes way to commands again and again gets behind.
+#[test]
+fn who_waits_for_its_turn_keeps_a_claim_to_it() {
+    for motors in 4..=12 {
+        let mut master = Master::<12>::new(Config::CAN);
+        let (mut fifo, mut answers, mut told) = (Vec::<Packet>::new(), Vec::new(), [0_u32; 12]);
+        for slot in 0..4_000 {
+            let now = Instant::ZERO + Duration::from_micros(125).times(slot);
+            if !fifo.is_empty() {
+                let Channel::Command(Target::Motor(motor)) = fifo.remove(0).channel else {
+                    continue;
+                };
+                told[motor.index()] += 1;
+                answers.push((motor, slot + 2));
+            } else if let Some(&answer) = answers.iter().filter(|(_, due)| *due <= slot).min() {
+                answers.retain(|it| *it != answer);
+                reply(&mut master, answer.0.get(), TORQUE_REPLY, now);
+            }
+            events(&mut master, now);
+            for motor in 1..=motors {
+                master.set_point(id(motor), torque(1.0), now).unwrap();
+            }
+            while fifo.len() < 3 {
+                let Some(packet) = master.poll_transmit(now) else { break };
+                master.handle_transmitted(now);
+                fifo.push(packet);
+            }
+        }
+        let told = &told[..usize::from(motors)];
+        let (most, least) = (told.iter().max().unwrap(), told.iter().min().unwrap());
+        assert!(least * 100 >= most * 90, "{told:?}");
+    }
+}
