@@ -165,7 +165,7 @@ impl<const N: usize> Master<N> {
         let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
         let Some(is_answer) = taken else { return false };
         // Answered it has left its mailbox, also on a bus that is never quiet.
-        if is_answer && self.broadcast.sent_at() >= self.stop_to_all_sent {
+        if is_answer && self.for_all.may_lie() && self.broadcast.sent_at() == self.told_all_at() {
             self.for_all = ForAll::Gone;
         }
         // Also of one that is over: the same once more answers nothing else.

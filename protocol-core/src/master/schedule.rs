@@ -297,7 +297,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// When all were told something last, by a broadcast or to stop.
-    fn told_all_at(&self) -> Instant {
+    pub(super) fn told_all_at(&self) -> Instant {
         self.broadcast.sent_at().max(self.stop_to_all_sent)
     }
 

@@ -424,24 +424,28 @@ fn what_was_handed_back_and_is_answered_keeps_nobody_back_though_the_next_is_put
     assert_eq!(sent(&mut master, answered), [to_all, packet_to(2, torque(1.0).encode())]);
 }
 
+/// The answer comes when the stop was handed back, and when it was sent again.
 #[test]
 fn an_answer_to_a_question_does_not_say_that_the_stop_to_all_behind_it_has_left_its_mailbox() {
-    let mut master = Master::<1>::new(Config::CAN);
-    let both: MotorSet = [id(1), id(2)].into();
-    assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
-    let (stop, question) =
-        (packet_to_all(Shutdown.encode()), packet_to_all(ReadMultiTurnAngle.encode()));
-    assert_eq!(sent(&mut master, ms(0))[0], stop);
-    reply(&mut master, 1, Shutdown.encode(), ms(1));
-    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
-    assert_eq!(sent(&mut master, ms(1)), [question]);
-    master.handle_pushed_out(&stop);
-    let soon = |micros| ms(1) + Duration::from_micros(micros);
-    assert_eq!(sent(&mut master, soon(10)), [stop]);
-    reply(&mut master, 1, ANGLE_REPLY, soon(300));
-    assert_eq!(events(&mut master, soon(300)).len(), 1);
-    let _read = master.request(id(1), ReadModel).unwrap();
-    assert_eq!(sent(&mut master, soon(310)), []);
+    for is_sent_before in [false, true] {
+        let mut master = Master::<1>::new(Config::CAN);
+        let both: MotorSet = [id(1), id(2)].into();
+        assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
+        let stop = packet_to_all(Shutdown.encode());
+        let question = packet_to_all(ReadMultiTurnAngle.encode());
+        assert_eq!(sent(&mut master, ms(0))[0], stop);
+        reply(&mut master, 1, Shutdown.encode(), ms(1));
+        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(1)), [question]);
+        master.handle_pushed_out(&stop);
+        let soon = |micros| ms(1) + Duration::from_micros(micros);
+        let mut packets = if is_sent_before { sent(&mut master, soon(10)) } else { Vec::new() };
+        reply(&mut master, 1, ANGLE_REPLY, soon(300));
+        assert_eq!(events(&mut master, soon(300)).len(), 1);
+        let _read = master.request(id(1), ReadModel).unwrap();
+        packets.extend(sent(&mut master, soon(310)));
+        assert_eq!(packets, [stop], "{is_sent_before}");
+    }
 }
 
 /// Motor 1 was told, and its answer is lost; what motor 2 was told came back when it was to be told something else.
