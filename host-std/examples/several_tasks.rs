@@ -49,7 +49,8 @@ async fn own<R: AsyncRunner<8>>(
                 Either3::First(()) => return Ok(End::Pressed),
                 Either3::Second(outcome) => match outcome.map_err(CallError::Bus)? {
                     None => return Ok(End::Silent),
-                    // A motor that has restarted, or is silent for a second, is refused its next set-point.
+                    // A motor that has restarted, or is silent for a second, is refused its next set-point. Who has
+                    // motors report their errors (function 3) stops for such a report, too.
                     Some(_event) => {}
                 },
                 Either3::Third((speed, of)) => {

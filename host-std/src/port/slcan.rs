@@ -191,8 +191,8 @@ fn is_outcome(answer: &Answer) -> bool {
 
 impl Drop for Slcan {
     /// Takes the adapter off the bus, as far as it still listens. It answers once it has taken what was sent
-    /// before; what an adapter that does not answer has not taken by then is thrown away, this with it, so that it is told
-    /// once more.
+    /// before; what an adapter that does not answer has not taken by then is thrown away, the close with it, so that this
+    /// is sent once more.
     fn drop(&mut self) {
         if self.unsent.is_empty() {
             self.unsent.put(AdapterCommand::Nothing);

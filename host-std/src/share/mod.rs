@@ -47,7 +47,7 @@
 //! A handle is no [`Runner`](myactuator_protocol_core::io::Runner), and
 //! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one, but for brakes, moves that are watched to their
 //! end, protection and restarts ([`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
-//! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect), [`restart`](SharedBus::restart)): first contact,
+//! [`check_brake`](SharedBus::check_brake), [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect), [`restart`](SharedBus::restart)): first contact,
 //! zeroing, another id. Do these on the master, and share it then. [`SharedBus::new`] takes any master;
 //! its calls wait for up to 1 ms more than those of [`SharedBus::open`]. Whoever opens the port, and so has its clock,
 //! is spared that by [`with_wake`](SharedBus::with_wake).
@@ -72,8 +72,7 @@
 //! Its turns may be gone, so that moves and set-points are refused from then on. [Subscriptions](Subscription) hear of it
 //! ([`Restarted`](myactuator_protocol_core::master::Event::Restarted)), and so does whoever moves it. Until it is stopped
 //! it may turn on, as it was told last. Stop it, read where it believes to be, and [`resume`](SharedBus::resume); lift
-//! the stop, and open its brake again.
-//! So it is, too, behind a [`restart`](SharedBus::restart) that somebody has called for, because of an error say.
+//! the stop, and open its brake again. The same holds behind a [`restart`](SharedBus::restart) that you call for.
 //!
 //! # What ends it
 //! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.

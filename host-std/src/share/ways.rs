@@ -87,6 +87,15 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         block_on(async_bring_up::lock_brake(&mut Way::on(self, motor), motor))
     }
 
+    /// Looks whether the shaft stands behind its locked brake once its motor is off, as
+    /// [`bring_up::check_brake`](myactuator_protocol_core::io::bring_up::check_brake) does.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn check_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::check_brake(&mut Way::on(self, motor), motor))
+    }
+
     /// Sets after how long without a command a motor stops by itself (0xB3), as
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. Any thread that speaks to it is enough.
     ///
@@ -195,6 +204,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         // As above.
         let _ = self.bus.desk().order(Order::NoteRestart(motor));
     }
+
+    /// Others may move it, too: each has to know first.
+    fn resume(&mut self, _: MotorId) {}
 }
 
 fn call_error<E>(error: SharedBusError<E>) -> CallError<SharedBusError<E>> {

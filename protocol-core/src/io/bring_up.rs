@@ -20,7 +20,7 @@ use crate::io::on_drop::OnDrop;
 use crate::io::polled::Polled;
 use crate::io::runner::Runner;
 pub use crate::io::standing::turns;
-use crate::master::{MotorSet, StopKind};
+use crate::master::{Failure, MotorSet, StopKind};
 use crate::time::Duration;
 use crate::units::{Angle, CoarseSpeed, EncoderPulses, Milliseconds};
 
@@ -158,6 +158,20 @@ pub enum BringUpError<E> {
         /// What its drive says that the brake was told last.
         says: BrakeCommand,
     },
+}
+
+impl<E> BringUpError<E> {
+    /// The same behind a write: what a drive was told to write may be in its ROM, whatever has come then.
+    pub(super) fn behind_a_write(self, motor: MotorId) -> Self {
+        match self {
+            Self::Call(why) => Self::MayBeWritten { motor, why },
+            Self::NotThere(silent) => {
+                let why = CallError::Failed { motor: silent, failure: Failure::NoReply };
+                Self::MayBeWritten { motor, why }
+            }
+            error => error,
+        }
+    }
 }
 
 /// What a motor is and how it does.
@@ -333,8 +347,12 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// fn put_down<R: Runner<8>>(bus: &mut R, arm: MotorId) -> Result<bool, BringUpError<R::Error>> {
 ///     bring_up::lock_brake(bus, arm)?;
 ///     let is_off = bus.stop(arm, StopKind::Off);
-///     // If it slips now: lift that stop, and open the brake again, behind which the motor holds.
-///     bring_up::check_brake(bus, arm)?;
+///     if let Err(slips) = bring_up::check_brake(bus, arm) {
+///         // The motor holds behind an open brake only.
+///         bus.master().lift_stop_of(arm);
+///         bring_up::release_brake(bus, arm)?;
+///         return Err(slips);
+///     }
 ///     Ok(is_off)
 /// }
 /// ```

@@ -6,8 +6,8 @@ use crate::command::Command;
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::answers;
 use crate::io::async_runner::AsyncRunner;
+use crate::io::presence::answers;
 use crate::master::StopKind;
 use crate::time::Instant;
 
@@ -67,10 +67,10 @@ pub trait Calls<const N: usize> {
     /// Takes note that a motor has restarted; see [`Master::note_restart`](crate::master::Master::note_restart).
     fn note_restart(&mut self, motor: MotorId);
 
-    /// Takes moves again for a motor that has restarted as it was meant to. A handle does not: others may move the
-    /// motor, who count from where it was, and have to know first. See
-    /// [`Master::resume`](crate::master::Master::resume).
-    fn resume(&mut self, _motor: MotorId) {}
+    /// Takes moves again for a motor that has restarted as it was meant to; see
+    /// [`Master::resume`](crate::master::Master::resume). Not where others may move the motor, too: they count from where
+    /// it was, and have to know first.
+    fn resume(&mut self, motor: MotorId);
 
     /// Whether anything answers under this id. A loop gives one that nobody answers at no place that it did not have.
     ///

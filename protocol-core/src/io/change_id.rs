@@ -11,13 +11,12 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::{
-    check_not_stopped, find, is_there, may_be_written, restart_what_is_off,
-};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
 use crate::io::bring_up::BringUpError;
-use crate::io::standing::check_stands;
+use crate::io::presence::{find, is_there};
+use crate::io::restart::restart_what_is_off;
+use crate::io::standing::{check_not_stopped, check_stands};
 use crate::master::{Event, Failure, MotorSet, Patience};
 use crate::time::Duration;
 
@@ -59,7 +58,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     switch_off(runner, from).await?;
-    write_id(runner, from, to, there.len() == 1).await.map_err(may_be_written(from))
+    let is_alone = there.len() == 1;
+    write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 
 /// Writes the id and has it come into force.

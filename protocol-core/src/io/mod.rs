@@ -15,7 +15,7 @@
 //!
 //! **One task, or one thread, runs one bus.** Where several tasks want it, one of them owns the loop and does what the
 //! others signal, or send through a channel (`embassy_sync`'s, say), a stop before all else: see the example
-//! `several_tasks` of `myactuator-host-std`. On a host its `share` does that for threads. Several buses run in a task
+//! `several_tasks` of `myactuator-host-std`, whose `share` does that for threads. Several buses run in a task
 //! each, or in one by a `join` of their futures, as in the example `two_arms`.
 //!
 //! A control loop of eight motors stands in README.md, the whole program in the example `control_loop`
@@ -40,8 +40,10 @@ mod line;
 mod move_to;
 mod on_drop;
 mod polled;
+mod presence;
 mod pump;
 mod rest;
+mod restart;
 mod runner;
 mod serial;
 mod standing;

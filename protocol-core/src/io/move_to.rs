@@ -10,9 +10,9 @@ use crate::command::{
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::has_started_since;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
+use crate::io::restart::has_started_since;
 use crate::io::standing::{runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::opcode::Repeat;

@@ -138,7 +138,7 @@ pub trait Runner<const N: usize> {
     ///
     /// # Errors
     /// [`CallError`]: what [`Master::set_point`] refuses; no feedback in time; dropped before it was sent;
-    /// an error of the bus. A set-point is never sent again.
+    /// an error of the bus, behind which it is not sent any more. A set-point is never sent again.
     fn set_point_and_wait<C: SetPoint>(
         &mut self,
         motor: MotorId,

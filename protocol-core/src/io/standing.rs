@@ -1,13 +1,26 @@
-//! Whether a motor turns, or runs something.
+//! Whether a motor turns, runs something, or was stopped.
 
 use crate::command::{ReadRunningMode, ReadStatus2};
+use crate::error::RequestError;
 use crate::id::MotorId;
+use crate::io::asking::CallError;
 use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::units::CoarseSpeed;
 
 /// Up to this speed a shaft stands, degrees per second.
 const STANDS_DPS: u16 = 2;
+
+/// Refuses what a stop refuses, before a motor that it holds is switched off.
+pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), CallError<B::Error>> {
+    match bus.may_move(motor) {
+        Err(refusal @ RequestError::Stopped) => Err(CallError::Refused { motor, refusal }),
+        _ => Ok(()),
+    }
+}
 
 /// Refuses a motor that turns: switched off, it would run on.
 pub(super) async fn check_stands<B: Calls<N>, const N: usize>(

@@ -103,8 +103,8 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. So it is told,
-    /// too, where it had failed for another reason that nobody had polled yet.
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. The same is
+    /// reported where it had failed for another reason that nobody had polled yet.
     #[error("the motors were stopped first")]
     Stopped,
     /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, a read's for example: it goes
@@ -168,7 +168,7 @@ pub enum Event {
         motor: MotorId,
     },
     /// A set-point was dropped before it was sent: it waited too long, the bus carried nothing, the motor was told to
-    /// end its motion, or it has restarted, or whoever waited for its feedback has left.
+    /// end its motion or has restarted, or whoever waited for its feedback has left.
     SetPointDropped {
         /// The motor.
         motor: MotorId,

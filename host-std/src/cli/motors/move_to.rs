@@ -63,6 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 .to_owned(),
         ));
     }
+    // As for each of the three commands that it may become.
     let mut session = arguments.motor.open_to_send(Opcode::AbsolutePosition)?;
     let motor = arguments.motor.id;
     session.ready(motor)?;

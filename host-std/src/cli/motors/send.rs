@@ -24,8 +24,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so: 'myactuator stop'
 /// ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped (0x81). To all goes one frame
 /// that all hear. Where two motors seem to have the id, or it does not answer, what writes memory, restarts a motor,
-/// lets its shaft go or is not known here is refused; what moves it goes to both, and you are told. Nobody looks before
-/// what only reads or ends motion, before 0xB6, and where all are meant. Exit status: 0 if it was sent and answered by
+/// lets its shaft go or is not known here is refused; what moves it goes to both, and you are told. That is not
+/// looked at for what only reads or ends motion, for 0xB6, or for all motors. Exit status: 0 if it was sent and answered by
 /// each motor that had to, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 #[command(arg_required_else_help = false, after_help = format!("{ENDS}\n\n{ENDS_LATER}"))]

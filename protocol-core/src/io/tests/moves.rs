@@ -298,6 +298,8 @@ impl Calls<4> for Handle {
         if self.has_restarted { Err(RequestError::Restarted) } else { Ok(()) }
     }
 
+    fn resume(&mut self, _: MotorId) {}
+
     fn note_restart(&mut self, _: MotorId) {
         self.has_restarted = true;
     }

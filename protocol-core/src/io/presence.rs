@@ -1,0 +1,158 @@
+//! Who is there.
+
+use crate::command::ReadStatus1;
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_runner::AsyncRunner;
+use crate::io::brake::SPOKEN_TO_EVERY;
+use crate::io::bring_up::BringUpError;
+use crate::io::calls::Calls;
+use crate::io::on_drop::OnDrop;
+use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
+use crate::master::{Event, Failure, MotorSet};
+use crate::time::Duration;
+
+/// How often a motor is asked whether it is there at all.
+const ATTEMPTS: u8 = 2;
+
+/// As [`bring_up::scan`](crate::io::bring_up::scan). If this future is dropped on the way, ids that were asked keep
+/// their places in the master, also those without a motor: a stop of all waits for them, and the next scan may find no
+/// place free, until they are [forgotten](crate::master::Master::forget).
+pub async fn scan<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
+    on_answer: impl FnMut(MotorId, bool),
+) -> Result<MotorSet, CallError<R::Error>> {
+    // However this ends.
+    let mut scan = OnDrop::new((runner, MotorSet::EMPTY), |(runner, found): &mut (&mut R, _)| {
+        runner.master().note_found(*found);
+    });
+    let (runner, found) = &mut scan.it;
+    find(*runner, candidates, found, on_answer).await?;
+    Ok(*found)
+}
+
+/// Finds out who is there, and leaves the master the places that it had free.
+pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
+    found: &mut MotorSet,
+    mut on_answer: impl FnMut(MotorId, bool),
+) -> Result<(), CallError<R::Error>> {
+    let patience = runner.master().patience(ATTEMPTS);
+    let known = runner.master().motors();
+    let (mut waiting, mut asked) = (candidates, MotorSet::EMPTY);
+    // Why no more are asked. The answers of who was asked are waited for all the same: nobody else takes back the places
+    // of ids without a motor.
+    let mut given_up = None;
+    // Until when, and until when somebody who is busy is waited for while nobody is asked.
+    let mut turn_ends = runner.now() + LONGEST_TURN;
+    while !(waiting.is_empty() && asked.is_empty()) {
+        for motor in waiting.iter() {
+            match runner.master().request_with(motor, ReadStatus1, patience) {
+                Ok(_ticket) => {
+                    waiting.remove(motor);
+                    asked.insert(motor);
+                }
+                Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
+                // It is asked again when the request under way is over. A stop on a bus that is down may never be.
+                Err(RequestError::Busy) if !asked.is_empty() || runner.now() < turn_ends => {}
+                // What reports by itself is there.
+                Err(RequestError::Reported(_)) => {
+                    waiting.remove(motor);
+                    found.insert(motor);
+                    on_answer(motor, true);
+                }
+                Err(refusal) => return Err(CallError::Refused { motor, refusal }),
+            }
+        }
+        let soon = runner.now() + LONGEST_IDLE;
+        let outcome = runner.run(Some(soon)).await;
+        if given_up.is_none() && !asked.is_empty() {
+            turn_ends = runner.now() + LONGEST_TURN;
+        }
+        let event = match outcome {
+            Ok(event) => event,
+            Err(error) => {
+                given_up.get_or_insert(CallError::Bus(error));
+                runner.master().poll_event()
+            }
+        };
+        if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {
+            given_up.get_or_insert(CallError::Failed { motor: ticket.motor(), failure });
+        }
+        if given_up.is_some() {
+            waiting = MotorSet::EMPTY;
+            if turn_ends <= runner.now() {
+                break;
+            }
+        }
+        let Some(event) = event else { continue };
+        let (motor, there) = match event {
+            Event::Reply { ticket, .. } => (ticket.motor(), true),
+            Event::Failed { ticket, failure } => (ticket.motor(), shows_motor(failure)),
+            // Whatever it says: one that reports by itself may answer nothing.
+            Event::Report { motor, .. }
+            | Event::LostMaster { motor }
+            | Event::Stray { motor, .. } => (motor, true),
+            _ => continue,
+        };
+        if there && candidates.contains(motor) {
+            found.insert(motor);
+        }
+        if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
+            asked.remove(motor);
+            if !known.contains(motor) {
+                runner.master().forget(motor);
+            }
+            if there || given_up.is_none() {
+                on_answer(motor, found.contains(motor));
+            }
+        }
+    }
+    given_up.map_or(Ok(()), Err)
+}
+
+/// Whether there is a motor that was asked in vain: it has said something.
+fn shows_motor(failure: Failure) -> bool {
+    matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted)
+}
+
+/// As [`bring_up::is_there`](crate::io::bring_up::is_there).
+pub async fn is_there<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<bool, CallError<B::Error>> {
+    bus.is_there(motor).await
+}
+
+/// Whether anything answers; the id keeps its place in the master.
+pub(super) async fn answers<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<bool, CallError<B::Error>> {
+    match bus.ask_often(motor, ReadStatus1, Some(ATTEMPTS)).await {
+        Ok(_) | Err(CallError::Refused { refusal: RequestError::Reported(_), .. }) => Ok(true),
+        Err(CallError::Failed { failure, .. }) => Ok(shows_motor(failure)),
+        Err(error) => Err(error),
+    }
+}
+
+/// As [`bring_up::wait_until_there`](crate::io::bring_up::wait_until_there).
+pub async fn wait_until_there<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<B::Error>> {
+    let deadline = bus.now() + time;
+    while !bus.is_there(motor).await? {
+        let now = bus.now();
+        if now >= deadline {
+            return Err(BringUpError::NotThere(motor));
+        }
+        // A bus that takes nothing answers at once.
+        bus.wait_until(now + SPOKEN_TO_EVERY).await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,98 @@
+//! A drive that is to restart.
+
+use crate::command::{LockBrake, ReadRunTime, Reset};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::brake::{BRAKE_MOVES, switch_off};
+use crate::io::bring_up::BringUpError;
+use crate::io::calls::Calls;
+use crate::io::presence::wait_until_there;
+use crate::io::standing::check_not_stopped;
+use crate::master::Failure;
+use crate::time::{Duration, Instant};
+
+/// How often a drive is told to restart that goes on running.
+const RESTARTS: u8 = 3;
+/// How long a motor is asked whether it is there that is to restart: a line may be out for as long.
+const LONGEST_SILENCE: Duration = Duration::from_millis(200);
+/// How long a drive may take to answer again.
+const LONGEST_RESTART: Duration = Duration::from_secs(5);
+
+/// As [`bring_up::restart`](crate::io::bring_up::restart).
+pub async fn restart<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    then: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    check_not_stopped(bus, motor)?;
+    let mut is_there = match wait_until_there(bus, motor, LONGEST_SILENCE).await {
+        Ok(()) => true,
+        Err(BringUpError::NotThere(_)) => false,
+        Err(error) => return Err(error),
+    };
+    if !is_there {
+        // It may hear all the same.
+        is_there = bus.ask(motor, LockBrake).await.is_ok();
+        let locked = bus.now() + BRAKE_MOVES;
+        bus.wait_until(locked).await?;
+    }
+    if is_there {
+        match switch_off(bus, motor).await {
+            // It falls all the same; an error that keeps it from holding goes with the restart.
+            Ok(()) | Err(BringUpError::BrakeSlips { holds: Some(false), .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    restart_what_is_off(bus, motor, then).await
+}
+
+/// The same, of a motor that holds nothing.
+pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    then: MotorId,
+) -> Result<(), BringUpError<B::Error>> {
+    let mut fails = BringUpError::NotRestarted(motor);
+    for _ in 0..RESTARTS {
+        // One with a new id may answer under that already; one that does not answer may hear all the same.
+        let ran = match then == motor {
+            true => match bus.ask(motor, ReadRunTime).await {
+                Ok(reply) => reply.run_time.into(),
+                Err(CallError::Failed { failure: Failure::NoReply, .. }) => Duration::ZERO,
+                Err(error) => return Err(error.into()),
+            },
+            false => Duration::ZERO,
+        };
+        let told_at = bus.now();
+        bus.ask(motor, Reset).await?;
+        let there = match wait_until_there(bus, then, LONGEST_RESTART).await {
+            Err(BringUpError::NotThere(_)) if then != motor && bus.is_there(motor).await? => motor,
+            // It may hear the old id and answer as the new one.
+            Err(BringUpError::NotThere(_)) if then != motor => {
+                fails = BringUpError::NotThere(then);
+                continue;
+            }
+            result => result.map(|()| then)?,
+        };
+        let has_restarted = there != motor || has_started_since(bus, motor, told_at, ran).await?;
+        if has_restarted {
+            // It was meant to.
+            bus.resume(there);
+            return if there == then { Ok(()) } else { Err(BringUpError::NotThere(then)) };
+        }
+    }
+    Err(fails)
+}
+
+/// Whether its drive has started since then, when it had run for so long. The master concludes from the same answer what
+/// it can, but a handle hears of that later than of the answer, and whether a drive has obeyed 0x76 it does not ask.
+pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    then: Instant,
+    ran: Duration,
+) -> Result<bool, CallError<B::Error>> {
+    let runs = Duration::from(bus.ask(motor, ReadRunTime).await?.run_time);
+    // Else it is longer by all that it had run before. Its clock need not agree with ours.
+    Ok(runs.times(2) <= (bus.now() - then).times(2) + ran)
+}
