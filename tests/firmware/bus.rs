@@ -13,7 +13,7 @@ use super::running::{
 };
 
 on! {
-    every board, wire and loop:
+    every program:
     noise_moves_nothing_wrongly
     lost_frames_move_nothing_wrongly
     doubled_frames_move_nothing_wrongly

@@ -11,7 +11,7 @@ use myactuator_tests::emulator::truth::Look;
 use super::running::{PATIENCE, Program, WATCHED, go, moving, on, stopped, stops_for};
 
 on! {
-    every board, wire and loop:
+    two programs:
     one_that_is_amiss_stops_all
 }
 

@@ -39,7 +39,7 @@ macro_rules! on {
             MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485: $($name)+
         }
     };
-    (every board, wire and loop: $($name:ident)+) => {
+    (two programs: $($name:ident)+) => {
         $crate::firmware::running::on! {
             MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485: $($name)+
         }

@@ -91,12 +91,14 @@ fn what_nobody_takes_is_thrown_away() {
     let (mut line, path) = pty::open();
     let mut port = Rs485::open(&path, 115_200).unwrap();
     let mut taken = 0;
-    let error = loop {
-        match port.write(&[0; 100]) {
-            Ok(length) => taken += length,
-            Err(error) => break error,
+    let error = (0..10_000).find_map(|_| match port.write(&[0; 100]) {
+        Ok(length) => {
+            taken += length;
+            None
         }
-    };
+        Err(error) => Some(error),
+    });
+    let error = error.expect("a pseudo-terminal has an end");
     assert!(matches!(error, PortError::Stalled(_)), "{error}");
     drop(port);
     let (mut heard, mut chunk) = (0, [0; 256]);
@@ -113,9 +115,11 @@ fn what_came_before_a_port_was_opened_is_not_heard() {
     // The terminal lives on, as a serial port does.
     let earlier = std::fs::File::open(&path).unwrap();
     line.write_all(b"early\n").unwrap();
-    while rustix::io::ioctl_fionread(&earlier).unwrap() == 0 {
+    let has_come = (0..5_000).any(|_| {
         std::thread::sleep(std::time::Duration::from_millis(1));
-    }
+        rustix::io::ioctl_fionread(&earlier).unwrap() > 0
+    });
+    assert!(has_come);
     let mut port = Rs485::open(&path, 115_200).unwrap();
     assert!(!port.read_ready().unwrap());
 }

@@ -322,16 +322,18 @@ fn what_an_interrupted_program_has_begun_is_not_ended() {
 fn stuck(frame: &SimpleFrame) -> (File, Slcan, usize) {
     let (line, path) = pty::open();
     let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
-    let taken = (0..).take_while(|_| can.transmit(frame).is_ok()).count();
+    let taken = (0..10_000).take_while(|_| can.transmit(frame).is_ok()).count();
     wait_until_full(&line);
     (line, can, taken)
 }
 
 /// The terminal keeps some four thousand bytes that nobody can throw away any more.
 fn wait_until_full(line: &File) {
-    while rustix::io::ioctl_fionread(line).unwrap() < 4_000 {
+    let is_full = (0..5_000).any(|_| {
         std::thread::sleep(std::time::Duration::from_millis(1));
-    }
+        rustix::io::ioctl_fionread(line).unwrap() >= 4_000
+    });
+    assert!(is_full);
 }
 
 /// The lines that are heard up to this one, or until the port is closed for good.
