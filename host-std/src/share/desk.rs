@@ -29,6 +29,18 @@ pub(super) struct Desk<E> {
     wake: Option<Wake>,
 }
 
+/// A motor that one call moves: however that ends, the motor is free for another.
+pub(super) struct Moving<'a, E> {
+    desk: &'a Desk<E>,
+    motor: MotorId,
+}
+
+impl<E> Drop for Moving<'_, E> {
+    fn drop(&mut self) {
+        self.desk.lock().moving.remove(self.motor);
+    }
+}
+
 impl<E> Desk<E> {
     pub(super) fn new(wake: Option<Wake>) -> Self {
         Self { state: Mutex::new(State::new()), changed: Condvar::new(), wake }
@@ -140,6 +152,14 @@ impl<E> Desk<E> {
     /// Whether whoever began then may move a motor now.
     pub(super) fn may_move(&self, motor: MotorId, since: Past) -> Result<(), RequestError> {
         self.lock().may_move(motor, since)
+    }
+
+    /// Takes a motor for a move, until this is dropped; `None` while another move has it.
+    pub(super) fn begin_move(&self, motor: MotorId) -> Option<Moving<'_, E>> {
+        let mut state = self.lock();
+        let is_free = !state.moving.contains(motor);
+        state.moving.insert(motor);
+        is_free.then(|| Moving { desk: self, motor })
     }
 
     /// Waits until then, on the clock of the bus. The answer is what time it is.

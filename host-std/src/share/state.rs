@@ -85,6 +85,8 @@ pub(super) struct State<E> {
     pub(super) past: [Past; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
     restarted: MotorSet,
+    /// These are on their way, each by one call.
+    pub(super) moving: MotorSet,
     /// What the bus fails with, since its last round did.
     pub(super) outage: Option<Arc<E>>,
     /// An error that nobody was told yet.
@@ -131,6 +133,7 @@ impl<E> State<E> {
             switched_off: MotorSet::EMPTY,
             past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
+            moving: MotorSet::EMPTY,
             outage: None,
             error: None,
             subscribers: Vec::new(),

@@ -8,7 +8,7 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::CallError;
 use myactuator_protocol_core::io::async_bring_up::{self, Calls};
 use myactuator_protocol_core::io::bring_up::{
-    BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived, Protection,
+    BringUpError, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, Protection,
 };
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Instant;
@@ -23,9 +23,10 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Moves a motor to an angle, or by one, and watches it until it stands there, as
     /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Other threads may move other motors
     /// meanwhile. If one of them ends this motor's motion, by a stop or a command that does, the move has ended, too,
-    /// whether that stop is lifted at once or not. A move that has failed stops its motor, after somebody else has moved
-    /// on with it, too: see that it has ended before you move that motor again. One that was let go (0x80) meanwhile is
-    /// not switched on by that.
+    /// whether that stop is lifted at once or not. Until it has ended, and the motor is stopped where it has failed, another
+    /// `move_to` of this motor is refused at once ([`MoveFailure::UnderWay`]). Set-points and commands are not: a move that
+    /// has failed stops what they have moved on with, too. A motor that was let go (0x80) meanwhile is not switched on by
+    /// that.
     ///
     /// ```
     /// # use std::ops::ControlFlow;
@@ -57,6 +58,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         limits: &MoveLimits,
         on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
     ) -> Result<MoveProgress, NotArrived<SharedBusError<E>>> {
+        let Some(_moving) = self.desk().begin_move(motor) else {
+            return Err(NotArrived { motor, why: MoveFailure::UnderWay, is_stopped: false });
+        };
         block_on(async_bring_up::move_to(
             &mut Way::on(self, motor),
             motor,
@@ -233,7 +237,6 @@ mod tests {
         Shutdown,
     };
     use myactuator_protocol_core::io::CanMaster;
-    use myactuator_protocol_core::io::bring_up::MoveFailure;
     use myactuator_protocol_core::master::{Config, Event};
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
     use myactuator_protocol_core::wire::can::SimpleFrame;
@@ -371,6 +374,54 @@ mod tests {
         assert!(catch_unwind(AssertUnwindSafe(|| moved(&bus, id(1), panics))).is_err());
         assert!(stands(&bus, id(1)));
         assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "the stop is in force");
+    }
+
+    /// The other way is refused at once: nothing has come of it when the first looks again.
+    #[test]
+    fn a_motor_on_its_way_is_sent_nowhere_else() {
+        let (fleet, bus) = shared(1);
+        let log = fleet.world.log();
+        let mut is_asked = false;
+        let arrived = bus.move_to(id(1), to(30.0, 60.0), &MoveLimits::default(), |look| {
+            if look.angle.degrees() > 3.0 && !std::mem::replace(&mut is_asked, true) {
+                let bus = bus.clone();
+                sent(&log);
+                let other = thread::spawn(move || {
+                    bus.move_to(id(1), to(-90.0, 60.0), &MoveLimits::default(), go_on)
+                });
+                let told = other.join().unwrap().unwrap_err();
+                assert!(matches!(told.why, MoveFailure::UnderWay), "{told}");
+                assert_eq!(
+                    told.to_string(),
+                    "motor 1 has not arrived: another move of it is under way and goes on: wait for its end, or stop \
+                     the motor"
+                );
+                assert_eq!(sent(&log), [0_u8; 0]);
+            }
+            ControlFlow::Continue(())
+        });
+        assert!(is_asked);
+        assert!((arrived.unwrap().angle.degrees() - 30.0).abs() <= 0.2);
+    }
+
+    #[test]
+    fn however_a_move_has_ended_its_motor_may_be_moved_again() {
+        let (_fleet, bus) = shared(2);
+        let back = |degrees| {
+            bus.lift_stop().unwrap();
+            bus.move_to(id(1), to(degrees, 180.0), &MoveLimits::default(), go_on).unwrap();
+        };
+        back(5.0);
+        back(0.0);
+        let gives_up = |_: &MoveProgress| ControlFlow::Break(());
+        bus.move_to(id(1), to(90.0, 90.0), &MoveLimits::default(), gives_up).unwrap_err();
+        back(0.0);
+        let panics = || -> () { panic!("as it is meant to") };
+        assert!(catch_unwind(AssertUnwindSafe(|| moved(&bus, id(1), panics))).is_err());
+        back(0.0);
+        assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
+        bus.move_to(id(1), to(90.0, 90.0), &MoveLimits::default(), go_on).unwrap_err();
+        back(0.0);
     }
 
     #[test]

@@ -230,9 +230,13 @@ pub enum MoveFailure<E> {
     /// The caller gave it up.
     #[error("the move was given up")]
     GivenUp,
+    /// It is on its way by another call, which goes on: this one has sent it nothing, no stop either. Only handles that
+    /// threads share know of each other's moves.
+    #[error("another move of it is under way and goes on: wait for its end, or stop the motor")]
+    UnderWay,
 }
 
-/// A motor has not arrived, and was told to stop for that.
+/// A motor has not arrived, and was told to stop for that, unless [another move](MoveFailure::UnderWay) has it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -241,7 +245,8 @@ pub struct NotArrived<E> {
     pub motor: MotorId,
     /// Why.
     pub why: MoveFailure<E>,
-    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**.
+    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**, unless another move
+    /// [is under way](MoveFailure::UnderWay), which has it go on.
     pub is_stopped: bool,
 }
 
@@ -254,10 +259,11 @@ impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
             MoveFailure::Call(CallError::Refused { refusal, .. }) => refusal.fmt(f)?,
             why => why.fmt(f)?,
         }
-        f.write_str(if self.is_stopped {
-            "; it has confirmed the stop, which stays in force until it is lifted"
-        } else {
-            "; it has not confirmed the stop: cut its power"
+        f.write_str(match (&self.why, self.is_stopped) {
+            // Nobody has told it to stop.
+            (MoveFailure::UnderWay, _) => "",
+            (_, true) => "; it has confirmed the stop, which stays in force until it is lifted",
+            (_, false) => "; it has not confirmed the stop: cut its power",
         })
     }
 }
