@@ -5,8 +5,10 @@ use embedded_io::ReadReady as _;
 use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_rs485};
 use super::{id, step};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
-use crate::io::{AsyncCanMaster, AsyncRunner, Clock, HalfDuplex, Runner, SerialMaster};
-use crate::master::StopKind;
+use crate::io::{
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, Clock, HalfDuplex, Runner, SerialMaster,
+};
+use crate::master::{Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
@@ -53,6 +55,20 @@ fn what_a_serial_port_has_not_taken_is_not_in_flight() {
     let _ = arm.master().request(id(1), step()).unwrap();
     assert_eq!(arm.poll(), Err(Broken));
     assert!(!arm.master().is_anything_in_flight());
+}
+
+/// The last byte leaves when the time for an answer would be up already.
+#[test]
+fn an_answer_is_waited_for_from_when_its_question_has_left() {
+    let once = Some(Patience { reply_timeout: Duration::from_millis(5), attempts: 1 });
+    let (port, _, mut arm) = serial();
+    port.state().flush_takes = 10_000;
+    let angle = arm.ask_with(id(1), ReadMultiTurnAngle, once, |_| {}).unwrap().angle;
+    assert_eq!(angle.degrees(), 360.0);
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    port.state().flush_takes = 10_000;
+    let angle = block_on(arm.ask_with(id(1), ReadMultiTurnAngle, once, |_| {})).unwrap().angle;
+    assert_eq!(angle.degrees(), 360.0);
 }
 
 #[test]

@@ -261,6 +261,8 @@ pub(super) struct SerialState {
     pub(super) stalls: bool,
     /// Whether `flush` does.
     pub(super) flush_stalls: bool,
+    /// How long `flush` takes until the last byte has left, in microseconds.
+    pub(super) flush_takes: u64,
 }
 
 impl SerialState {
@@ -308,7 +310,8 @@ impl TestSerial {
 
     /// What has come and was not read is lost.
     pub(super) fn lose(&self) {
-        self.state().to_read.clear();
+        let now = self.clock.micros();
+        self.state().to_read.retain(|&(at, _)| at > now);
     }
 
     pub(super) fn is_flushed(&self) -> bool {
@@ -392,7 +395,8 @@ impl embedded_io::Write for TestSerial {
                 && let Some(reply) = answer(&frame.as_command())
             {
                 let line = Frame::from_packet(&reply).unwrap().encode();
-                state.hand_over(self.clock.micros() + RESPONSE, &line);
+                let left_at = self.clock.micros() + state.flush_takes;
+                state.hand_over(left_at + RESPONSE, &line);
             }
         }
         Ok(length)
@@ -403,6 +407,7 @@ impl embedded_io::Write for TestSerial {
         if state.flush_fails {
             return Err(Broken);
         }
+        self.clock.advance(state.flush_takes);
         state.flushed = state.written.len();
         Ok(())
     }
