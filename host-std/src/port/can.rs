@@ -22,8 +22,8 @@ const READS_A_CALL: usize = 64;
 /// A CAN interface of Linux, such as `can0`: a raw socket that never blocks.
 ///
 /// Error reports of the controller are not handed on as frames. One that says that the bus carries
-/// nothing (bus off, no acknowledgement, error-passive while sending, transmit time-out) makes
-/// [`transmit`](Can::transmit) refuse, with an error, all that could move a motor, until a frame
+/// nothing (bus off, no acknowledgement, error-passive while sending, transmit time-out), and an error of the interface
+/// (down, gone), makes [`transmit`](Can::transmit) refuse, with an error, all that could move a motor, until a frame
 /// comes or the controller recovers; reads and stops still go.
 ///
 /// # What the kernel may send late
@@ -89,6 +89,13 @@ impl SocketCan {
             .map_err(|error| PortError::os(&self.interface, error))
     }
 
+    /// Why the interface fails, which may carry nothing now.
+    fn failed(&mut self, error: io::Error) -> PortError {
+        let why = explain(&self.interface, error);
+        self.outage.begin(why.clone());
+        why
+    }
+
     fn note(&mut self, report: ErrorCause) {
         match verdict(report, &self.interface) {
             Some(Err(why)) => self.outage.begin(why),
@@ -117,7 +124,7 @@ impl Can for SocketCan {
             (Ok(()), _) => Ok(None),
             // The socket's own buffer is full, or the interface's queue, which others fill as well.
             (Err(_), Some(Errno::AGAIN | Errno::NOBUFS)) => Err(nb::Error::WouldBlock),
-            (Err(error), _) => Err(explain(&self.interface, error).into()),
+            (Err(error), _) => Err(self.failed(error).into()),
         }
     }
 
@@ -136,11 +143,7 @@ impl Can for SocketCan {
                 Err(error) => match errno(&error) {
                     Some(Errno::AGAIN) => break,
                     Some(Errno::INTR) => {}
-                    _ => {
-                        let error = explain(&self.interface, error);
-                        self.outage.begin(error.clone());
-                        return Err(error.into());
-                    }
+                    _ => return Err(self.failed(error).into()),
                 },
             }
         }
@@ -237,10 +240,20 @@ mod tests {
     /// A socket that takes frames as an interface does, and its other end.
     fn made() -> (SocketCan, UnixDatagram) {
         let (end, other) = UnixDatagram::pair().unwrap();
+        (can_on(end), other)
+    }
+
+    fn can_on(end: UnixDatagram) -> SocketCan {
         let socket = CanSocket::from(OwnedFd::from(end));
         socket.set_nonblocking(true).unwrap();
         let (outage, backlog) = (Outage::default(), Backlog::default());
-        (SocketCan { socket, interface: "can7".to_owned(), outage, backlog }, other)
+        SocketCan { socket, interface: "can7".to_owned(), outage, backlog }
+    }
+
+    /// Commands to motor 1 without values.
+    fn frames<const M: usize>(bytes: [u8; M]) -> [CanFrame; M] {
+        let to = StandardId::new(0x141).unwrap();
+        bytes.map(|byte| CanFrame::new(to, &[byte, 0, 0, 0, 0, 0, 0, 0]).unwrap())
     }
 
     /// Frames were refused, and are dropped as too old meanwhile; then the socket has room again.
@@ -270,9 +283,7 @@ mod tests {
     #[test]
     fn after_a_report_nothing_that_moves_is_sent_until_a_frame_comes() {
         let (mut can, other) = made();
-        let [torque, stop] = [0xA1, 0x81].map(|first| {
-            CanFrame::new(StandardId::new(0x141).unwrap(), &[first, 0, 0, 0, 0, 0, 0, 0]).unwrap()
-        });
+        let [torque, stop] = frames([0xA1, 0x81]);
         can.transmit(&torque).unwrap();
         // No acknowledgement, which the receiver hears of in its turn.
         other.send(&from_kernel(0x2000_0020)).unwrap();
@@ -283,6 +294,29 @@ mod tests {
         can.transmit(&stop).unwrap();
         other.send(&from_kernel(0x241)).unwrap();
         assert_eq!(can.receive().unwrap().id(), StandardId::new(0x241).unwrap().into());
+        can.transmit(&torque).unwrap();
+    }
+
+    /// The kernel tells of an interface that was taken down once, to whoever sends or receives first. The other end goes,
+    /// and comes back.
+    #[test]
+    fn after_an_error_of_sending_nothing_that_moves_is_sent_until_a_frame_comes() {
+        let folder = tempfile::tempdir().unwrap();
+        let [port, gone, back] = ["port", "gone", "back"].map(|name| folder.path().join(name));
+        let end = UnixDatagram::bind(&port).unwrap();
+        let reconnect = end.try_clone().unwrap();
+        let mut can = can_on(end);
+        let other = UnixDatagram::bind(&gone).unwrap();
+        reconnect.connect(&gone).unwrap();
+        drop(other);
+        let [torque, stop] = frames([0xA1, 0x81]);
+        assert!(matches!(can.transmit(&torque), Err(nb::Error::Other(_))));
+        let other = UnixDatagram::bind(&back).unwrap();
+        reconnect.connect(&back).unwrap();
+        assert!(matches!(can.transmit(&torque), Err(nb::Error::Other(_))), "stale");
+        can.transmit(&stop).unwrap();
+        other.send_to(&from_kernel(0x241), &port).unwrap();
+        can.receive().unwrap();
         can.transmit(&torque).unwrap();
     }
 
