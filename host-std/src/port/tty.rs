@@ -1,21 +1,25 @@
 //! A serial port for one program alone, read and written without blocking.
 
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::FlockOperation;
+use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::{Errno, retry_on_intr};
-use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
-use serial2::{KeepSettings, SerialPort};
+use rustix::termios::{
+    ControlModes, InputModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr,
+};
 
 use crate::port::{PortError, latency};
 
+/// A port whose clock makes a rate that is off by more than this part of it cannot run at it.
+const LARGEST_RATE_ERROR: u32 = 40;
+
 #[derive(Debug)]
 pub(super) struct Tty {
-    port: SerialPort,
+    port: OwnedFd,
     name: String,
 }
 
@@ -23,8 +27,9 @@ impl Tty {
     /// Opens a serial port in raw mode, eight data bits, no parity, one stop bit (8N1).
     pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, PortError> {
         let name = path.display().to_string();
-        let failed = |error: io::Error| explain(&name, error);
-        let port = SerialPort::open(path, KeepSettings).map_err(failed)?;
+        let failed = |error: Errno| explain(&name, error.into());
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let port = rustix::fs::open(path, flags, Mode::empty()).map_err(failed)?;
         if !rustix::termios::isatty(&port) {
             return Err(PortError::NotASerialPort(name));
         }
@@ -32,26 +37,36 @@ impl Tty {
         // others but root.
         rustix::fs::flock(&port, FlockOperation::NonBlockingLockExclusive)
             .and_then(|()| rustix::termios::ioctl_tiocexcl(&port))
-            .map_err(|error| failed(error.into()))?;
-        let mut tty = Self { port, name };
+            .map_err(failed)?;
+        let tty = Self { port, name };
         tty.configure(bit_rate)?;
         latency::shorten(path);
         Ok(tty)
     }
 
-    fn configure(&mut self, bit_rate: u32) -> Result<(), PortError> {
-        let failed = |error: io::Error| explain(&self.name, error);
-        let mut settings = self.port.get_configuration().map_err(failed)?;
-        settings.set_raw();
-        let unable = |_| PortError::LineRate { port: self.name.clone(), bit_rate };
-        settings.set_baud_rate(bit_rate).map_err(unable)?;
-        self.port.set_configuration(&settings).map_err(unable)?;
-        // An earlier program may have asked that the line is hung up without a carrier, which no adapter has.
-        let mut settings = tcgetattr(&self.port).map_err(|error| failed(error.into()))?;
-        settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
-        tcsetattr(&self.port, OptionalActions::Now, &settings)
-            .map_err(|error| failed(error.into()))?;
-        self.port.discard_buffers().map_err(failed)
+    /// Sets the mode at once. To wait until what the port holds has left may be for ever; it is of a program that is
+    /// gone, and is thrown away before the mode may let go what flow control has held back.
+    fn configure(&self, bit_rate: u32) -> Result<(), PortError> {
+        let failed = |error: Errno| explain(&self.name, error.into());
+        let unable = || PortError::LineRate { port: self.name.clone(), bit_rate };
+        tcflush(&self.port, QueueSelector::IOFlush).map_err(failed)?;
+        let mut wanted = tcgetattr(&self.port).map_err(failed)?;
+        wanted.make_raw();
+        wanted.input_modes = InputModes::IGNBRK | InputModes::IGNPAR;
+        wanted.control_modes.remove(ControlModes::CSTOPB | ControlModes::CRTSCTS);
+        // Or the line is hung up without a carrier, which no adapter has.
+        wanted.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
+        wanted.set_speed(bit_rate).map_err(|_| unable())?;
+        tcsetattr(&self.port, OptionalActions::Now, &wanted).map_err(|_| unable())?;
+        // A driver sets what it can, and says so.
+        let set = tcgetattr(&self.port).map_err(failed)?;
+        let frame = ControlModes::CSIZE | ControlModes::CSTOPB | ControlModes::PARENB;
+        let is_framed = set.control_modes & frame == wanted.control_modes & frame;
+        let rate_is_off_by = set.output_speed().abs_diff(bit_rate);
+        if !is_framed || rate_is_off_by > bit_rate / LARGEST_RATE_ERROR {
+            return Err(unable());
+        }
+        tcflush(&self.port, QueueSelector::IOFlush).map_err(failed)
     }
 
     pub(super) fn name(&self) -> &str {
@@ -104,11 +119,11 @@ impl Tty {
     }
 
     pub(super) fn discard_output(&self) -> Result<(), PortError> {
-        self.port.discard_output_buffer().map_err(|error| self.failed(error))
+        tcflush(&self.port, QueueSelector::OFlush).map_err(|error| self.failed(error))
     }
 
     pub(super) fn discard_input(&self) -> Result<(), PortError> {
-        self.port.discard_input_buffer().map_err(|error| self.failed(error))
+        tcflush(&self.port, QueueSelector::IFlush).map_err(|error| self.failed(error))
     }
 }
 
@@ -148,9 +163,10 @@ mod tests {
     use std::fs::File;
 
     use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
+    use rustix::termios::{LocalModes, OutputModes, SpecialCodeIndex};
 
     #[test]
-    fn what_an_earlier_program_has_set_does_not_hang_the_line_up() {
+    fn what_an_earlier_program_has_set_holds_no_more() {
         let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         unlockpt(&line).unwrap();
         let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
@@ -158,9 +174,24 @@ mod tests {
         let earlier = File::options().read(true).write(true).open(&path).unwrap();
         let mut settings = tcgetattr(&earlier).unwrap();
         settings.control_modes.remove(ControlModes::CLOCAL);
+        settings.control_modes |= ControlModes::CSTOPB | ControlModes::CRTSCTS;
+        settings.input_modes |= InputModes::IXON | InputModes::IXOFF | InputModes::ISTRIP;
+        settings.special_codes[SpecialCodeIndex::VMIN] = 5;
+        settings.set_speed(9600).unwrap();
         tcsetattr(&earlier, OptionalActions::Now, &settings).unwrap();
-        let tty = Tty::open(Path::new(&path), 115_200).unwrap();
-        let modes = tcgetattr(&tty).unwrap().control_modes;
-        assert!(modes.contains(ControlModes::CLOCAL | ControlModes::CREAD), "{modes:?}");
+        // A rate that has no name.
+        let tty = Tty::open(Path::new(&path), 1_234_567).unwrap();
+        let settings = tcgetattr(&tty).unwrap();
+        let modes = settings.control_modes;
+        assert!(modes.contains(ControlModes::CLOCAL | ControlModes::CREAD | ControlModes::CS8));
+        let others = ControlModes::CSTOPB | ControlModes::CRTSCTS | ControlModes::PARENB;
+        assert!(!modes.intersects(others), "{modes:?}");
+        let modes = settings.input_modes;
+        assert_eq!(modes, InputModes::IGNBRK | InputModes::IGNPAR, "{modes:?}");
+        assert_eq!(settings.output_modes & OutputModes::OPOST, OutputModes::empty());
+        let modes = settings.local_modes;
+        assert!(!modes.intersects(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG));
+        assert_eq!(settings.special_codes[SpecialCodeIndex::VMIN], 1);
+        assert_eq!((settings.input_speed(), settings.output_speed()), (1_234_567, 1_234_567));
     }
 }
