@@ -580,6 +580,25 @@ mod tests {
         assert_eq!(sent(&log), [0_u8; 0]);
     }
 
+    /// The stop comes while its brake locks.
+    #[test]
+    fn who_began_to_restart_before_a_stop_does_not_switch_off_what_that_holds() {
+        let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true));
+        bus.release_brake(id(1)).unwrap();
+        let log = fleet.world.log();
+        thread::scope(|scope| {
+            let restart = scope.spawn(|| bus.restart(id(1)));
+            while !sent(&log).contains(&0x78) {
+                thread::sleep(time::Duration::from_millis(1));
+            }
+            assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
+            let told = restart.join().unwrap().unwrap_err();
+            assert!(told.to_string().contains("the motors were stopped"), "{told}");
+        });
+        let sent = sent(&log);
+        assert!(sent.contains(&0x81) && !sent.contains(&0x80), "{sent:02X?}");
+    }
+
     /// The stop comes between the restart and what goes before it.
     #[test]
     fn who_began_to_restart_before_a_stop_restarts_nothing_behind_it() {

@@ -9,7 +9,7 @@ use crate::io::asking::CallError;
 use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
-use crate::io::standing::{check_stands, runs, turns};
+use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
 
@@ -164,6 +164,8 @@ pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
             Some(why) => return Err(why),
         }
     }
+    // Somebody may have had it hold meanwhile.
+    check_not_stopped(bus, motor)?;
     let told = bus.ask(motor, Shutdown).await;
     // It may have obeyed without an answer.
     if held && !matches!(told, Err(CallError::Refused { .. })) {

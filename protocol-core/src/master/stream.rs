@@ -7,6 +7,7 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::Question;
+use crate::master::motor::LastSent;
 use crate::master::request::Asked;
 use crate::opcode::Usage;
 use crate::time::Instant;
@@ -137,9 +138,15 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
     }
 
-    /// Nobody waits for the feedback of a motor's newest set-point any more: it is not sent if it waits.
+    /// Nobody waits for the feedback of a motor's newest set-point any more: it is not sent if it waits, nor again if it
+    /// is handed back.
     pub(crate) fn withdraw_set_point(&mut self, motor: MotorId) {
-        self.change(motor, |motor, _| motor.drop_waiting_set_point());
+        self.change(motor, |motor, _| {
+            motor.drop_waiting_set_point();
+            if motor.stream.in_flight().is_some() {
+                motor.last_sent.insert(LastSent::IS_OLD);
+            }
+        });
     }
 
     /// Whether a motor's newest set-point was dropped before it was sent.

@@ -56,7 +56,8 @@ bitflags! {
         const REQUESTS_TURN = 1 << 0;
         /// The bus was quiet when its reply was due: that does not wait for the bus, and nobody waits for it.
         const HAD_ITS_CHANCE = 1 << 1;
-        /// All were told to end their motion since, or it has restarted: nothing that moves and is older goes again.
+        /// All were told to end their motion since, it has restarted, or nobody waits for its feedback: nothing that moves
+        /// and is older goes again.
         const IS_OLD = 1 << 2;
         /// The drive has said since that it has lost its master: it may have heard this before.
         const BEFORE_IT_LOST_MASTER = 1 << 3;

@@ -144,6 +144,25 @@ fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
     assert_eq!(sent(&mut master, ms(1)), []);
 }
 
+/// Nor a set-point whose feedback nobody waits for any more, unless it was not the newest by then.
+#[test]
+fn a_set_point_that_was_withdrawn_is_not_sent_once_it_is_handed_back() {
+    for has_newer in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+        let pushed_out = sent(&mut master, ms(0))[0];
+        master.withdraw_set_point(id(1));
+        if has_newer {
+            master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+        }
+        master.handle_pushed_out(&pushed_out);
+        let newer = packet_to(1, torque(2.0).encode());
+        assert_eq!(sent(&mut master, ms(1)), Vec::from_iter(has_newer.then_some(newer)));
+        let is_dropped = events(&mut master, ms(1)) == [Event::SetPointDropped { motor: id(1) }];
+        assert_eq!(is_dropped, !has_newer);
+    }
+}
+
 #[test]
 fn a_set_point_that_was_pushed_out_and_gives_way_counts_as_superseded() {
     let mut master = Master::<2>::new(Config::CAN);
