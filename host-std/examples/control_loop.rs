@@ -13,43 +13,37 @@ use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
     AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadVersionDate,
 };
-use myactuator_protocol_core::io::{CallError, Guard, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
+use myactuator_protocol_core::io::{Guard, LoopError, Runner, Watch};
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
-/// never guess it. However this is left, by an error or by its end, the motors are stopped; `stop_all` behind it
-/// says which of them have not confirmed that. Lost cycles are not made up for; 50 ms of them end it, and so do 100 ms
-/// in which a motor is not heard.
+/// never guess it. However this is left, by an error or by its end, the motors are stopped; `stop_all` after it
+/// returns those that have not confirmed that. Lost cycles are not made up for.
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
     mut plan: impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion>,
-) -> Result<(), CallError<R::Error>> {
+) -> Result<(), LoopError<R::Error>> {
     let mut bus = Guard::new(bus, StopKind::Hold);
-    let begun = bus.now();
-    let mut next = begun;
+    let arm: MotorSet = MotorId::all().take(8).collect();
+    let mut next = bus.now();
+    let mut watch = Watch::new(arm, next);
     loop {
         let now = bus.now();
-        for motor in MotorId::all().take(8) {
-            let (measured, heard) = match bus.master().latest_feedback(motor) {
-                Some((AnyReply::Motion(raw), at)) => (Some(scale.feedback(&raw)), at.max(begun)),
-                _ => (None, begun),
+        watch.look(bus.master(), now)?;
+        for motor in arm.iter() {
+            let measured = match bus.master().latest_feedback(motor) {
+                Some((AnyReply::Motion(raw), _)) => Some(scale.feedback(&raw)),
+                _ => None,
             };
-            if now - heard > Duration::from_millis(100) {
-                return Err(CallError::Failed { motor, failure: Failure::NoReply });
-            }
             let Some(wanted) = plan(motor, measured) else { return Ok(()) };
             bus.set_point(motor, wanted)?;
         }
-        next += match bus.now() - next {
-            late if late <= Duration::from_millis(50) => late.max(Duration::from_millis(2)),
-            // Those of all motors are late: the first is named.
-            _ => return Err(CallError::Failed { motor: MotorId::MIN, failure: Failure::Dropped }),
-        };
-        bus.run_until(next, |_event| {})?;
+        next = bus.now().max(next + Duration::from_millis(2));
+        bus.run_until(next, |event| watch.note(&event))?;
     }
 }
 
@@ -151,9 +145,11 @@ mod tests {
     }
 
     #[test]
-    fn what_was_held_for_longer_than_a_set_point_lives_ends() {
-        let (left, begun) = held_for(60);
-        assert_eq!(left, Err(format!("motor 1: {}", Failure::Dropped)));
+    fn what_was_held_up_for_too_long_ends() {
+        let (left, begun) = held_for(90);
+        assert_eq!((left, begun.len()), (Ok(()), 21));
+        let (left, begun) = held_for(101);
+        assert_eq!(left, Err("the control loop was held up for 101 ms".to_owned()));
         assert_eq!(begun.len(), 10);
     }
 
@@ -177,9 +173,26 @@ mod tests {
         let (left, _) = ten_seconds_with("lose=0.05");
         assert_eq!(left, Ok(()));
         let (left, after) = ten_seconds_with("cut@3+5s");
-        assert_eq!(left, Err(format!("motor 3: {}", Failure::NoReply)));
-        let within = Duration::from_millis(100)..=Duration::from_millis(104);
+        assert!(
+            left.as_ref().is_err_and(|why| why.starts_with("motor 3 is not heard")),
+            "{left:?}"
+        );
+        let within = Duration::from_millis(98)..=Duration::from_millis(102);
         assert!(within.contains(&(after - Duration::from_secs(5))), "{after}");
+    }
+
+    /// Either goes on giving feedback. Each motor is asked for both within 160 ms.
+    #[test]
+    fn an_error_of_a_drive_and_a_supply_that_fails_for_a_moment_end_it() {
+        for (fault, why) in [
+            ("stall@5+5s", "motor 5 reports an error (motor stalled) and has cut its output"),
+            ("reset@6+5s", "motor 6 has restarted"),
+        ] {
+            let (left, after) = ten_seconds_with(fault);
+            assert!(left.as_ref().is_err_and(|left| left.starts_with(why)), "{left:?}");
+            let within = Duration::ZERO..=Duration::from_millis(170);
+            assert!(within.contains(&(after - Duration::from_secs(5))), "{after}");
+        }
     }
 
     #[test]

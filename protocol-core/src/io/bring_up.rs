@@ -213,7 +213,7 @@ pub enum Protection {
 /// these get the one stop that goes to all, and confirm nothing. Ids without a motor take no place.
 ///
 /// # Errors
-/// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
+/// [`CallError`]; [`Failure::BusDown`], of any of the candidates, if the bus
 /// carries nothing, as CAN does when nobody is there to acknowledge;
 /// [`TooManyMotors`](crate::error::RequestError::TooManyMotors) if the master has no place free at all.
 pub fn scan<R: Runner<N>, const N: usize>(

@@ -49,6 +49,7 @@ mod serial;
 mod standing;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use asking::CallError;
 pub use async_can::{AsyncCan, AsyncCanMaster};
@@ -62,3 +63,4 @@ pub use guard::{Guard, Guards, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
 pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
 pub use serial::SerialMaster;
+pub use watch::{LoopError, Trouble, Watch};

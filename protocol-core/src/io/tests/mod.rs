@@ -13,6 +13,7 @@ mod left_halfway;
 mod loads;
 mod moves;
 mod patience;
+mod watch;
 mod world;
 
 use crate::MotorId;

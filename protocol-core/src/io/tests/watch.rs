@@ -1,0 +1,203 @@
+//! A watch over motors that a control loop moves.
+
+use std::vec::Vec;
+
+use super::*;
+use crate::command::{ErrorFlags, ReadModel, ReadStatus1};
+use crate::data::Data;
+use crate::io::{Trouble, Watch};
+use crate::master::{Config, Event, Master, MotorSet};
+use crate::opcode::LOST_MASTER_BYTE;
+use crate::packet::{Channel, Packet};
+use crate::time::{Duration, Instant};
+use crate::wire::can::Received;
+
+/// 25 °C, 48.5 V; the second has stalled.
+const HEALTHY: Data = [0x9A, 25, 25, 0, 0xE5, 0x01, 0, 0];
+const STALLED: Data = [0x9A, 25, 25, 0, 0xE5, 0x01, 0x02, 0];
+
+/// A watch over motors 1 and 2, of which nothing is heard unless it is said here.
+struct Bench {
+    master: Master<3>,
+    watch: Watch,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let watch = Watch::new(MotorSet::from(id(1)).with(id(2).into()), ms(0));
+        Self { master: Master::new(Config::CAN), watch }
+    }
+
+    fn look(&mut self, now: Instant) -> Result<(), Trouble> {
+        self.watch.look(&mut self.master, now)
+    }
+
+    /// All that is to be sent: to which motor, and the command byte.
+    fn sent(&mut self, now: Instant) -> Vec<(u8, u8)> {
+        self.master.handle_timeout(now);
+        let mut sent = Vec::new();
+        while let Some(packet) = self.master.poll_transmit(now) {
+            self.master.handle_transmitted(now);
+            let Channel::Command(crate::Target::Motor(motor)) = packet.channel else { continue };
+            sent.push((motor.get(), packet.data[0]));
+        }
+        sent
+    }
+
+    /// A motor says this, and what comes of it is noted.
+    fn hear(&mut self, motor: u8, data: Data, now: Instant) {
+        let packet = Packet { channel: Channel::Reply(id(motor)), data };
+        let event = self.master.handle_frame(&Received::Packet(packet), now);
+        let more = core::iter::from_fn(|| self.master.poll_event());
+        let events: Vec<Event> = event.into_iter().chain(more).collect();
+        events.iter().for_each(|event| self.watch.note(event));
+    }
+
+    /// A motor gets a set-point, and gives feedback a millisecond later.
+    fn moves(&mut self, motor: u8, now: Instant) {
+        self.master.set_point(id(motor), torque(), now).unwrap();
+        self.sent(now);
+        self.hear(motor, [0xA1, 25, 0, 0, 0, 0, 0, 0], now + Duration::from_millis(1));
+    }
+}
+
+fn ms(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+#[test]
+fn each_is_asked_for_its_errors_and_then_for_its_run_time() {
+    let mut bench = Bench::new();
+    let mut sent = Vec::new();
+    for now in 0..50 {
+        bench.look(ms(now)).unwrap();
+        for (motor, byte) in bench.sent(ms(now)) {
+            sent.push((now, motor, byte));
+            let run_for_70_s = [0xB1, 0, 0, 0, 0x70, 0x11, 0x01, 0];
+            bench.hear(motor, if byte == 0x9A { HEALTHY } else { run_for_70_s }, ms(now + 1));
+        }
+    }
+    let expected = [(0, 1, 0x9A), (10, 2, 0x9A), (20, 1, 0xB1), (30, 2, 0xB1), (40, 1, 0x9A)];
+    assert_eq!(sent, expected);
+}
+
+#[test]
+fn who_is_busy_is_passed_over() {
+    let mut bench = Bench::new();
+    let _ = bench.master.request(id(1), ReadModel).unwrap();
+    bench.look(ms(0)).unwrap();
+    bench.look(ms(10)).unwrap();
+    assert_eq!(bench.sent(ms(10)), [(1, 0xB5), (2, 0x9A)]);
+}
+
+#[test]
+fn an_error_is_noted_whoever_has_asked_and_if_nobody_has() {
+    let stalled = Err(Trouble::Errors { motor: id(1), errors: ErrorFlags::STALL });
+    for (asks_by_itself, is_asked) in [(true, true), (false, true), (false, false)] {
+        let mut bench = Bench::new();
+        if asks_by_itself {
+            bench.look(ms(0)).unwrap();
+        } else if is_asked {
+            let _ = bench.master.request(id(1), ReadStatus1).unwrap();
+        }
+        bench.sent(ms(0));
+        bench.hear(1, STALLED, ms(1));
+        assert_eq!(bench.look(ms(2)), stalled, "{asks_by_itself} {is_asked}");
+        assert_eq!(bench.look(ms(2)), Ok(()), "once");
+    }
+}
+
+#[test]
+fn a_status_without_an_error_and_errors_of_others_are_no_trouble() {
+    let mut bench = Bench::new();
+    bench.hear(1, HEALTHY, ms(1));
+    bench.hear(3, STALLED, ms(1));
+    bench.hear(3, lost_master(), ms(1));
+    assert_eq!(bench.look(ms(2)), Ok(()));
+}
+
+/// 0xF1 and zeros, as a drive says it by itself.
+fn lost_master() -> Data {
+    [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0]
+}
+
+#[test]
+fn the_first_that_was_noted_counts() {
+    let mut bench = Bench::new();
+    bench.hear(2, lost_master(), ms(1));
+    bench.hear(1, STALLED, ms(1));
+    assert_eq!(bench.look(ms(2)), Err(Trouble::LostMaster(id(2))));
+}
+
+#[test]
+fn who_gives_no_feedback_for_longer_than_100_ms_is_silent() {
+    let mut bench = Bench::new();
+    for now in (0..=100).step_by(20) {
+        bench.moves(1, ms(now));
+        bench.look(ms(now)).unwrap();
+    }
+    // Motor 2 has never given any. Answers to questions are none.
+    bench.hear(2, HEALTHY, ms(100));
+    assert_eq!(bench.look(ms(101)), Err(Trouble::Silent(id(2))));
+
+    let mut bench = Bench::new();
+    bench.moves(1, ms(10));
+    bench.moves(2, ms(50));
+    bench.look(ms(60)).unwrap();
+    bench.look(ms(111)).unwrap();
+    assert_eq!(bench.look(ms(112)), Err(Trouble::Silent(id(1))), "100 ms after 11 ms");
+}
+
+/// It may have been in another loop.
+#[test]
+fn feedback_from_before_the_watch_is_no_silence() {
+    let mut bench = Bench::new();
+    bench.moves(1, ms(0));
+    bench.watch = Watch::new(id(1).into(), ms(500));
+    bench.look(ms(600)).unwrap();
+    assert_eq!(bench.look(ms(601)), Err(Trouble::Silent(id(1))));
+}
+
+#[test]
+fn who_has_restarted_is_told_until_it_is_resumed() {
+    let mut bench = Bench::new();
+    bench.moves(1, ms(0));
+    bench.master.note_restart(id(1));
+    for _ in 0..2 {
+        assert_eq!(bench.look(ms(2)), Err(Trouble::Restarted(id(1))));
+    }
+    bench.master.resume(id(1));
+    assert_eq!(bench.look(ms(2)), Ok(()));
+}
+
+#[test]
+fn a_loop_that_was_held_up_for_longer_than_100_ms_is_late() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.look(ms(100)), Ok(()));
+    bench.moves(1, ms(200));
+    bench.moves(2, ms(200));
+    assert_eq!(bench.look(ms(201)), Err(Trouble::Late(Duration::from_millis(101))));
+    assert_eq!(bench.look(ms(202)), Ok(()), "once");
+}
+
+#[test]
+fn a_caller_says_how_long_and_how_often() {
+    let mut bench = Bench::new();
+    let time = Duration::from_millis;
+    bench.watch = bench.watch.clone().longest_silence(time(300)).ask_every(time(25));
+    assert_eq!(bench.look(ms(0)), Ok(()));
+    bench.look(ms(24)).unwrap();
+    assert_eq!(bench.sent(ms(24)), [(1, 0x9A)]);
+    bench.look(ms(25)).unwrap();
+    assert_eq!(bench.sent(ms(25)), [(2, 0x9A)]);
+    assert_eq!(bench.look(ms(300)), Ok(()));
+    assert_eq!(bench.look(ms(301)), Err(Trouble::Silent(id(1))));
+}
+
+#[test]
+fn nobody_is_watched_without_a_question() {
+    let mut bench = Bench::new();
+    bench.watch = Watch::new(MotorSet::EMPTY, ms(0));
+    assert_eq!(bench.look(ms(50)), Ok(()));
+    assert_eq!(bench.sent(ms(50)), []);
+}

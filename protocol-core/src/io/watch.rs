@@ -1,0 +1,189 @@
+//! What goes wrong with motors while a control loop moves them.
+
+use crate::command::{AnyReply, Command, ErrorFlags, ReadRunTime, ReadStatus1, Status1};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::kind::Kind;
+use crate::master::{Event, Master, MotorSet};
+use crate::opcode::Opcode;
+use crate::time::{Duration, Instant};
+
+/// What is wrong: the motors should be stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub enum Trouble {
+    /// The loop itself was held up for longer than [`Watch::longest_silence`].
+    #[error("the control loop was held up for {0}")]
+    Late(Duration),
+    /// No feedback has come for longer than [`Watch::longest_silence`].
+    #[error("motor {0} is not heard: is it powered and connected, and is this its id?")]
+    Silent(MotorId),
+    /// The drive reports an error (0x9A). It has cut its output and locked its brake, and goes on answering.
+    #[error("motor {motor} reports an error ({errors}) and has cut its output")]
+    Errors {
+        /// The motor.
+        motor: MotorId,
+        /// What its drive reports.
+        errors: ErrorFlags,
+    },
+    /// The drive has [restarted](Event::Restarted): its turns may be lost.
+    #[error("motor {0} has restarted, and its turns may be lost: read its angle, then resume it")]
+    Restarted(MotorId),
+    /// The drive has [lost its master](Event::LostMaster) and has stopped by itself.
+    #[error("motor {0} has heard nothing for longer than its protection (0xB3) allows")]
+    LostMaster(MotorId),
+}
+
+/// Why a control loop has ended. Both kinds of errors become one by `?`.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum LoopError<E> {
+    /// What a [`Watch`] has found.
+    #[error(transparent)]
+    Trouble(#[from] Trouble),
+    /// A set-point was refused, or the bus reports an error.
+    #[error(transparent)]
+    Call(#[from] CallError<E>),
+}
+
+/// Watches motors that a control loop moves by set-points.
+///
+/// Feedback alone does not show everything: a drive that has cut its output because of an error goes on giving feedback,
+/// and one whose supply fails for a moment only comes back with its turns lost. So a watch asks the motors in turn for
+/// their errors (0x9A) and their run time (0xB1), one question at a time, each [`ask_every`](Self::ask_every).
+///
+/// ```no_run
+/// # use myactuator_protocol_core::command::SetPoint;
+/// # use myactuator_protocol_core::io::{Guard, LoopError, Runner, Watch};
+/// # use myactuator_protocol_core::master::{MotorSet, StopKind};
+/// # use myactuator_protocol_core::{MotorId, time::Duration};
+/// # fn control<R: Runner<8>, C: SetPoint>(bus: &mut R, arm: MotorSet, plan: impl Fn(MotorId) -> C)
+/// # -> Result<(), LoopError<R::Error>> {
+/// let mut bus = Guard::new(bus, StopKind::Hold);
+/// let mut watch = Watch::new(arm, bus.now());
+/// loop {
+///     let now = bus.now();
+///     watch.look(bus.master(), now)?;
+///     for motor in arm.iter() {
+///         bus.set_point(motor, plan(motor))?;
+///     }
+///     bus.run_until(now + Duration::from_millis(5), |event| watch.note(&event))?;
+/// }
+/// # }
+/// ```
+///
+/// It stops nothing by itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
+#[derive(Clone, Debug)]
+pub struct Watch {
+    motors: MotorSet,
+    longest_silence: Duration,
+    ask_every: Duration,
+    begun: Instant,
+    /// When it looked last.
+    looked: Instant,
+    /// When the next question is due.
+    next: Instant,
+    /// Counts the questions: one to each motor, then the other one to each.
+    turn: usize,
+    trouble: Option<Trouble>,
+}
+
+impl Watch {
+    /// Watches these motors from now on. Each needs a stream of set-points, for its feedback shows that it is there.
+    pub const fn new(motors: MotorSet, now: Instant) -> Self {
+        Self {
+            motors,
+            longest_silence: Duration::from_millis(100),
+            ask_every: Duration::from_millis(10),
+            begun: now,
+            looked: now,
+            next: now,
+            turn: 0,
+            trouble: None,
+        }
+    }
+
+    /// How long a motor may give no feedback, and the loop may be held up; 100 ms unless said otherwise.
+    #[must_use]
+    pub const fn longest_silence(mut self, time: Duration) -> Self {
+        self.longest_silence = time;
+        self
+    }
+
+    /// How often a motor is asked; every 10 ms unless said otherwise. Each question takes a turn on the bus. With the
+    /// default each of eight motors is asked for its errors every 160 ms; a larger arm on CAN has its drives report
+    /// errors ([function 3](crate::command::FunctionControl::ErrorReporting)), which [`note`](Self::note) takes, too.
+    #[must_use]
+    pub const fn ask_every(mut self, time: Duration) -> Self {
+        self.ask_every = time;
+        self
+    }
+
+    /// Says what is wrong, and asks the next question when it is due. Call it once a cycle, after the events of the last
+    /// cycle were [noted](Self::note).
+    ///
+    /// # Errors
+    /// [`Trouble`], the first that was noted.
+    pub fn look<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> Result<(), Trouble> {
+        if let Some(trouble) = self.trouble.take() {
+            return Err(trouble);
+        }
+        let held_up = now - core::mem::replace(&mut self.looked, now);
+        if held_up > self.longest_silence {
+            return Err(Trouble::Late(held_up));
+        }
+        for motor in self.motors.iter() {
+            if master.has_restarted(motor) {
+                return Err(Trouble::Restarted(motor));
+            }
+            let heard = master.latest_feedback(motor).map_or(self.begun, |(_, at)| at);
+            if now - heard.max(self.begun) > self.longest_silence {
+                return Err(Trouble::Silent(motor));
+            }
+        }
+        if now >= self.next {
+            self.next = now + self.ask_every;
+            self.ask(master);
+        }
+        Ok(())
+    }
+
+    fn ask<const N: usize>(&mut self, master: &mut Master<N>) {
+        let (motors, turn) = (self.motors.len(), self.turn);
+        let Some(motor) = self.motors.iter().cycle().nth(turn) else { return };
+        self.turn = (turn + 1) % (2 * motors);
+        // The answers come as events. A motor that is busy is asked in its next turn.
+        let _ = match turn < motors {
+            true => master.request(motor, ReadStatus1).map(|ticket| ticket.id()),
+            false => master.request(motor, ReadRunTime).map(|ticket| ticket.id()),
+        };
+    }
+
+    /// Takes note of an event. Call it with each one.
+    pub fn note(&mut self, event: &Event) {
+        let (motor, trouble) = match *event {
+            Event::LostMaster { motor } => (motor, Trouble::LostMaster(motor)),
+            Event::Report { motor, reply: AnyReply::ReadStatus1(Status1 { errors, .. }) } => {
+                (motor, Trouble::Errors { motor, errors })
+            }
+            // Whoever has asked.
+            Event::Reply { ticket, kind: Kind::Known(Opcode::ReadStatus1), data } => {
+                let Ok(Status1 { errors, .. }) = ReadStatus1::decode_reply(&data) else { return };
+                (ticket.motor(), Trouble::Errors { motor: ticket.motor(), errors })
+            }
+            // The master keeps what the run time says of a restart.
+            _ => return,
+        };
+        let is_none = matches!(trouble, Trouble::Errors { errors, .. } if errors.is_empty());
+        if self.motors.contains(motor) && !is_none {
+            self.trouble.get_or_insert(trouble);
+        }
+    }
+}
