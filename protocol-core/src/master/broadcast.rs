@@ -1,4 +1,4 @@
-//! A command to all motors, and who has answered it.
+//! A command to all motors, and which of them have answered it.
 
 use crate::command::Command;
 use crate::data::Data;
@@ -18,10 +18,10 @@ enum State {
     #[default]
     None,
     Waiting,
-    /// It was told that it is over, and handed back then: it goes once more, and nothing is reported of that.
+    /// It was reported as over and then handed back: it goes once more, and nothing is reported of that.
     Again,
     InFlight,
-    /// It was sent and nobody is expected to answer; to be reported.
+    /// It was sent and no motor is expected to answer; to be reported.
     Sent,
     /// It is over; to be reported.
     Done,
@@ -34,47 +34,47 @@ pub(super) struct Broadcast {
     state: State,
     kind: Option<Kind>,
     data: Data,
-    /// That of the newest request when it was put.
+    /// The ticket of the newest request when it was put.
     last_ticket: u32,
-    /// Who is expected to answer it and has not.
+    /// The motors that are expected to answer it and have not.
     silent: MotorSet,
-    /// Of whom it counted as lost when its time was up.
+    /// The motors whose answer counted as lost when its time was up.
     lost: MotorSet,
-    /// The motors that were stopped since it was put, to be held and to be off: one that ends motion is not to undo
+    /// The motors that were stopped since it was put, to be held and to be off. If it ends motion it must not undo
     /// that, however late a controller hands it back.
     held: MotorSet,
     off: MotorSet,
-    /// The last one that was sent: when, its command byte, and who may still answer it, expected or not.
+    /// The last one that was sent: when, its command byte, and which motors may still answer it, expected or not.
     sent: Instant,
     sent_byte: u8,
     may_answer: MotorSet,
-    /// What the last one may still do, and what was sent before it, or as a stop to all.
+    /// What the last one may still do; and what those sent before it, and stops to all, may still do.
     last: MayUndo,
     others: MayUndo,
-    /// Something that may move was sent, or motors were found that have no place: a stop of all has to reach whom nobody
-    /// has named.
+    /// A command that may move was sent, or motors were found that have no place. A stop of all must reach motors that
+    /// were not named.
     pub(super) may_be_unnamed: bool,
-    /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
-    /// through cuts that nobody has noticed.
+    /// CAN: a move was sent since these motors ended their motion, and they have not answered it. It may be in a
+    /// mailbox, also through cuts that went unnoticed.
     moved_since: MotorSet,
     /// Until when what was sent may still reach a drive, and be answered.
     pub(super) on_its_way: OnItsWay,
 }
 
-/// Whom what was sent may still reach and undo what ends their motion.
+/// The motors that a frame which was sent may still reach, and what it would undo there.
 #[derive(Clone, Copy, Debug, Default)]
 struct MayUndo {
     /// It moves these.
     moves: MotorSet,
-    /// It lets these go, by switching them off or restarting them, so that loads fall.
+    /// It lets these go: it switches them off or restarts them, so that loads fall.
     lets_go: MotorSet,
     /// It holds these, and switches them on.
     holds: MotorSet,
 }
 
 impl MayUndo {
-    /// What this command to all does. By priority it may come behind what one motor is told; a line keeps the order in
-    /// which motion is ended.
+    /// What this command to all does. On CAN, arbitration may send it after what one motor is told. RS485 keeps the
+    /// order of the commands that end motion.
     fn by(kind: Kind, config: &Config) -> Self {
         let is_can = !config.is_rs485();
         Self {
@@ -101,7 +101,7 @@ impl MayUndo {
         }
     }
 
-    /// Whom it keeps from being stopped by this.
+    /// The motors for which it may undo this end of their motion.
     fn by_end(self, end: Kind) -> MotorSet {
         match StopKind::by(end) {
             Some(StopKind::Hold) => self.moves.with(self.lets_go),
@@ -120,7 +120,7 @@ fn all_if(is_so: bool) -> MotorSet {
 }
 
 impl Broadcast {
-    /// It waits to be sent. `last_ticket` is that of the newest request.
+    /// It waits to be sent. `last_ticket` is the ticket of the newest request.
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
         self.last_ticket = last_ticket;
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
@@ -151,13 +151,13 @@ impl Broadcast {
         self.is_waiting() && self.kind.is_some_and(Kind::ends_motion)
     }
 
-    /// Whether what this motor answers when it ends its motion is to be answered twice: the first answer shows that the
-    /// bus is whole, and what lies in a mailbox comes then.
+    /// Whether this motor must answer twice what ends its motion. The first answer shows that the bus is intact; what
+    /// is in a mailbox leaves it then.
     pub(super) fn has_moved_since(&self, motor: MotorId) -> bool {
         self.moved_since.contains(motor)
     }
 
-    /// It has answered what is to end its motion: what lies in a mailbox comes now, if ever.
+    /// The motor has answered what is to end its motion: if a move is still in a mailbox, it leaves it now.
     pub(super) fn note_answer_of(&mut self, motor: MotorId, now: Instant, config: &Config) {
         self.on_its_way.note_bus_alive(now, config);
         if self.moved_since.contains(motor) {
@@ -165,7 +165,7 @@ impl Broadcast {
         }
     }
 
-    /// It has ended its motion for good.
+    /// The motor has confirmed the end of its motion.
     pub(super) fn note_motion_ended_of(&mut self, motor: MotorId) {
         self.moved_since.remove(motor);
     }
@@ -188,14 +188,14 @@ impl Broadcast {
         };
     }
 
-    /// A motor is to end its motion: what may move all motors may move that one.
+    /// A motor is to end its motion: a command that may move all motors may move that one.
     pub(super) fn cancel_what_moves(&mut self) {
         if self.kind.is_some_and(Kind::is_refused_while_stopped) {
             self.cancel();
         }
     }
 
-    /// These are stopped so, each by itself, or all, also those who have no place.
+    /// These motors are stopped in this way, individually or with all others, also those without a place.
     pub(super) fn was_overtaken(&mut self, by: StopKind, motors: MotorSet) {
         (self.held, self.off) = (self.held.without(motors), self.off.without(motors));
         match by {
@@ -204,7 +204,7 @@ impl Broadcast {
         }
     }
 
-    /// The motors that were stopped since all were told last to end their motion: to be held, and to be off.
+    /// The motors that were stopped since the last broadcast was put: to be held, and to be off.
     pub(super) fn stopped_since(&self) -> (MotorSet, MotorSet) {
         (self.held, self.off)
     }
@@ -214,12 +214,12 @@ impl Broadcast {
         Some(Packet { channel, data: self.data })
     }
 
-    /// What it asks.
+    /// The question that it asks.
     pub(super) fn question(&self) -> Option<Question> {
         Some(Question::of(self.kind?, &self.data))
     }
 
-    /// What is or was sent last.
+    /// The command that is to be sent or was sent last.
     pub(super) fn command(&self) -> (Option<Kind>, Data) {
         (self.kind, self.data)
     }
@@ -237,7 +237,7 @@ impl Broadcast {
         self.may_be_unnamed |= kind.may_move();
         self.others = self.others.with(self.last);
         if kind.may_move() && !config.is_rs485() {
-            // The answer to this one says nothing of those before it.
+            // The answer to this one says nothing about those before it.
             self.others.moves = self.others.moves.with(self.moved_since);
             self.moved_since = MotorSet::ALL;
         }
@@ -246,7 +246,7 @@ impl Broadcast {
         self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
     }
 
-    /// A stop to all was sent, on CAN: it may reach anybody until then, and its answers do not come here.
+    /// CAN: a stop to all was sent. It may reach any motor until then, and its answers are not counted here.
     pub(super) fn stop_was_sent(&mut self, stop: Kind, until: Instant, config: &Config) {
         self.others = self.others.with(MayUndo::by(stop, config));
         self.on_its_way.put(until, true);
@@ -272,24 +272,23 @@ impl Broadcast {
         self.may_answer.contains(motor) && self.sent_byte == byte
     }
 
-    /// Whether what was sent may still reach this motor and undo what ends its motion.
+    /// Whether what was sent may still reach this motor and undo this end of its motion.
     pub(super) fn may_undo(&self, end: Kind, motor: MotorId) -> bool {
         self.others.with(self.last).by_end(end).contains(motor)
     }
 
-    /// The same, for a time that is known: on a bus that may be cut only an answer tells when that ends.
+    /// The same, if it is known when that ends: on a bus that may be cut only an answer shows it.
     pub(super) fn may_undo_for_a_while(&self, end: Kind, motor: MotorId) -> bool {
         self.on_its_way.end().is_some() && self.may_undo(end, motor)
     }
 
-    /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
-    /// `known` motors and the expected ones can still answer that.
+    /// Whether this broadcast may go after the one before it: no `known` or expected motor can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
         known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))
     }
 
-    /// Whether this reply of `motor`, which may be owed to the last broadcast, answers this one; each motor that is
-    /// expected to does so once. `None` if it is owed to neither.
+    /// Whether this reply of `motor` answers this broadcast; each motor that is expected to answer does so once. `None`
+    /// if the reply answers neither this broadcast nor the last one.
     #[inline(never)]
     pub(super) fn take_reply(
         &mut self,
@@ -298,7 +297,7 @@ impl Broadcast {
         shortest: Duration,
         now: Instant,
     ) -> Option<bool> {
-        // What comes sooner is a reply from before, doubled.
+        // What comes sooner is an earlier reply, doubled.
         if now - self.sent < shortest {
             return None;
         }
@@ -322,7 +321,7 @@ impl Broadcast {
         (is_owed || answers).then_some(answers)
     }
 
-    /// When it was sent, or the one before it while it waits.
+    /// When it was sent; while it waits, when the one before it was sent.
     pub(super) fn sent_at(&self) -> Instant {
         self.sent
     }
@@ -331,23 +330,24 @@ impl Broadcast {
         self.is_in_flight().then_some(self.sent)
     }
 
-    /// When it is over though not all have answered.
+    /// When it is over although not all motors have answered.
     pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
         self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
-    /// Whether it was not sent, or was handed back: what is handed back now only looks like it.
+    /// Whether it was not sent, or was handed back: a frame that is handed back now only looks like it.
     pub(super) fn is_unsent(&self) -> bool {
         matches!(self.state, State::Waiting | State::Again | State::Dropped)
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
+    /// A controller has handed it back: it was never on the bus, and moves no motor. Returns the motors whose answer
+    /// counted as lost.
     pub(super) fn was_pushed_out(&mut self) -> MotorSet {
-        // Nobody has heard it, so that it need not wait for answers to itself.
+        // No motor has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
         self.state = match self.state {
-            // Something else has ended it.
+            // It was ended for another reason.
             State::Done if !self.kind.is_some_and(Kind::ends_motion) => State::Dropped,
             State::InFlight | State::Sent | State::Done => State::Waiting,
             state => state,
@@ -361,7 +361,7 @@ impl Broadcast {
         }
     }
 
-    /// That it is over, once.
+    /// Reports once that it is over.
     pub(super) fn take_result(&mut self) -> Option<Event> {
         let was_sent = match self.state {
             State::Sent | State::Done => true,
@@ -370,7 +370,7 @@ impl Broadcast {
         };
         self.state = State::None;
         if !was_sent {
-            // What is handed back later only looks like it.
+            // A frame that is handed back later only looks like it.
             self.kind = None;
         }
         Some(Event::BroadcastDone { silent: self.silent, was_sent })
@@ -378,38 +378,47 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
-    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
-    /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// were asked before it, or end motion, while it waits. The next broadcast waits until all motors that have a place
-    /// have answered this one, or its answers cannot come any more.
+    /// Sends a command to all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all
+    /// have come or the time is up.
     ///
-    /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
-    /// to collide. `expected` should name all motors that answer: the answers of others come as [`Event::Stray`].
+    /// - It waits for the requests in flight. While it waits, requests that were put before it are still sent, and
+    ///   those that end motion. All others wait until it is over.
+    /// - The next broadcast waits until all motors that have a place have answered this one, or can no longer answer
+    ///   it.
+    /// - On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are
+    ///   likely to collide.
+    /// - `expected` should name all motors that answer: the answers of others come as [`Event::Stray`].
     ///
     /// # One that moves
-    /// Name in `expected` all motors that a command which moves, or opens brakes, may reach: each takes a place, so
-    /// that [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms. On CAN whoever has not
-    /// answered it confirms its next stop by a second answer, 50 ms or so after the first: the move may lie in a
-    /// controller's mailbox until then.
+    /// If the command moves, or opens brakes, name in `expected` all motors that it may reach. Each takes a place, so
+    /// that [`stop_all`](Self::stop_all) sends it a stop of its own, which it confirms. On CAN a motor that has not
+    /// answered the broadcast confirms its next stop only with a second answer, 50 ms or so after the first: the move
+    /// may be in a controller's mailbox until then.
     ///
     /// # One that ends motion
-    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast waits for what is in flight, for a stop for as
-    /// long as a motor does not confirm that, and one that holds for each Shutdown (0x80) that was asked for before, also
-    /// where that waits for the end of a restart; and an answer to it does not say that nothing sent before can move the
-    /// motor any more.
+    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast is slower and proves less:
     ///
-    /// It drops the set-points and moves that wait. Where it lets go (0x80, 0x76), a Stop (0x81) of one motor that is
-    /// under way becomes a Shutdown of that motor, which is confirmed as a stop. If one motor is
-    /// [stopped](Self::stop) by itself while the broadcast waits, or before a controller hands it back, and it would
-    /// undo that stop, the broadcast is over: each other motor that has a place gets the command by itself, as a stop,
-    /// but a restart goes to nobody. Motors without a place get nothing then. So it is, too, with one that holds (0x81)
-    /// while a stop in force keeps a motor off.
+    /// - It waits for what is in flight, and for a stop for as long as a motor does not confirm that.
+    /// - One that holds (0x81) waits for each Shutdown (0x80) that was requested before, even if that waits for the end
+    ///   of a restart.
+    /// - An answer to it does not show that nothing sent before can move the motor any more.
+    ///
+    /// It drops the set-points and moves that wait. If it lets motors go (0x80, 0x76), a Stop (0x81) of one motor that
+    /// is under way becomes a Shutdown of that motor, which is confirmed as a stop.
+    ///
+    /// If one motor is [stopped](Self::stop) individually while the broadcast waits, or before a controller hands it
+    /// back, and the broadcast would undo that stop, the broadcast is over. Each other motor that has a place gets the
+    /// command individually, as a stop; a restart goes to no motor. Motors without a place then get nothing. The same
+    /// applies to a broadcast that holds (0x81) while a stop in force keeps a motor off.
     ///
     /// # Errors
-    /// [`RequestError`]: the command has no form for all motors or none on this bus, another
-    /// broadcast is under way, or was to end motion and goes once more because a controller has handed it back,
-    /// the motors were stopped, or it moves them and one has
-    /// [restarted](Event::Restarted) or there is no place for all of `expected`: then nothing is sent.
+    /// [`RequestError`], and nothing is sent, in these cases:
+    ///
+    /// - The command has no form for all motors, or none on this bus.
+    /// - Another broadcast is under way. So is one that ends motion and goes once more because a controller has handed
+    ///   it back.
+    /// - The motors were stopped.
+    /// - It moves motors, and one has [restarted](Event::Restarted) or there is no place for all of `expected`.
     pub fn broadcast<C: Command>(
         &mut self,
         command: C,
@@ -438,7 +447,7 @@ impl<const N: usize> Master<N> {
             self.for_all = self.for_all.put_anew();
         }
         if kind.ends_motion() {
-            // What was offered may be a set-point that this ends.
+            // What was offered may be a set-point that this command ends.
             self.offer = None;
             self.due = now;
             self.is_any_off_since |= kind == Kind::Known(Opcode::Shutdown);
@@ -449,14 +458,14 @@ impl<const N: usize> Master<N> {
             for place in self.places.taken.iter() {
                 self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
             }
-            // It may have to go to each by itself.
+            // It may have to go to each motor individually.
             self.end_motion_of_all();
         }
         Ok(())
     }
 
-    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
-    /// still answer it late.
+    /// Ends a broadcast whose time is up, or that would move a motor that has restarted. The silent motors may still
+    /// answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
         self.broadcast.age(now, self.heard_at_least(), &self.config);

@@ -1,4 +1,4 @@
-//! What a master reports, and the tickets by which a caller knows its own answers.
+//! What a master reports, and the tickets by which a caller recognizes its answers.
 
 use core::fmt;
 use core::marker::PhantomData;
@@ -10,7 +10,7 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::MotorSet;
 
-/// Names one request; its [`Ticket`] carries the type of its answer.
+/// Names one request. Its [`Ticket`] also carries the type of the answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -26,7 +26,7 @@ impl TicketId {
     }
 }
 
-/// A request under way: it knows its answer among the events, and the answer's type.
+/// A request under way: finds its answer among the events, and knows the answer's type.
 #[must_use = "the ticket is how the answer is known"]
 pub struct Ticket<C> {
     id: TicketId,
@@ -45,9 +45,9 @@ impl<C> Ticket<C> {
 }
 
 impl<C: Command> Ticket<C> {
-    /// The outcome of this request if the event brings it. Of a command that is over when it was sent it
-    /// says what was sent: nothing ([`NoReply`](crate::command::NoReply)), or the id of function 5, which
-    /// drives were seen to take without an answer.
+    /// The outcome of this request if the event carries it. For a command that is over once it was sent, this is what
+    /// was sent: nothing ([`NoReply`](crate::command::NoReply)), or the id of function 5, which drives were seen to
+    /// take without an answer.
     pub fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
         match *event {
             Event::Reply { ticket, data, .. } | Event::Sent { ticket, data }
@@ -88,38 +88,37 @@ impl<C> defmt::Format for Ticket<C> {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub enum Failure {
-    /// No reply came in time, after all attempts. It may have been carried out; and what a controller keeps because
-    /// nobody acknowledges it will be, when the bus is whole again: stop the motor, or cut its power, before anybody
-    /// mends the wire.
+    /// No reply came in time, after all attempts. The command may have been carried out. If nobody acknowledged it, a
+    /// controller may keep it: then it is carried out when the bus is intact again. Stop the motor, or cut its power,
+    /// before the wire is repaired.
     #[error("no reply: is the motor powered, and is this its id?")]
     NoReply,
-    /// The drive had lost its master and answered without doing anything (it does so once after its
-    /// 0xF1 frames). What may be sent again has been; this one may not. Where a drive acknowledges by
-    /// the command's own bytes it may have been executed all the same: that looks alike.
+    /// The drive had lost its master and answered without doing anything (it does so once after its 0xF1 frames).
+    /// Commands that may be sent again were sent again; this one may not. If a drive acknowledges with the command's
+    /// own bytes, it may have been executed after all: both look alike.
     #[error(
         "the drive had lost its master and ignored the command: send it again if it is still wanted"
     )]
     NotExecuted,
-    /// A reply came, but its fields hold what is not allowed.
+    /// A reply came, but a field holds a value that is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. The same is
-    /// reported where it had failed for another reason that nobody had polled yet.
+    /// A stop took its place, before it was sent or answered: it may have been carried out. This is also reported if it
+    /// had failed for another reason that was not polled yet.
     #[error("the motors were stopped first")]
     Stopped,
-    /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, a read's for example: it goes
-    /// once more every 100 ms or so, before anything else. The motor is silent, or the bus takes nothing.
+    /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, for example that of a read:
+    /// the stop goes once more every 100 ms or so, before anything else. The motor is silent, or the bus takes nothing.
     #[error(
         "the motor has not confirmed the stop, which goes once more before this: it may be silent"
     )]
     StopUnconfirmed,
     /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
-    /// not done at its first poll every request ends so.
+    /// not done at its first poll, every request ends in this way.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
-    /// A set-point was dropped before it was sent: it waited for too long, the bus carried nothing, or the
-    /// motor was stopped or has restarted. Or a move was dropped: its motor has restarted, or nobody waits for its
-    /// outcome any more.
+    /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped
+    /// or has restarted. A move: its motor has restarted, or its caller no longer waits for the outcome.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }
@@ -139,8 +138,8 @@ pub enum Event {
         /// The reply's data field.
         data: Data,
     },
-    /// A command that is over with that was sent: the controller has taken it. One that the controller hands
-    /// back after this was reported is not sent again.
+    /// A command that is over once it was sent: the controller has taken it. If the controller hands it back after this
+    /// was reported, it is not sent again.
     Sent {
         /// Which request.
         ticket: TicketId,
@@ -154,21 +153,20 @@ pub enum Event {
         /// Why.
         failure: Failure,
     },
-    /// A motor answered its set-point stream. Feedback says how the motor is, not which set-point
-    /// it is about.
+    /// A motor answered its set-point stream. Feedback describes the motor's state, and does not name its set-point.
     Feedback {
         /// The motor.
         motor: MotorId,
         /// Its reply.
         reply: AnyReply,
     },
-    /// A set-point was not answered in time. The next one goes out all the same.
+    /// A set-point was not answered in time. The next one is sent all the same.
     SetPointUnanswered {
         /// The motor.
         motor: MotorId,
     },
     /// A set-point was dropped before it was sent: it waited too long, the bus carried nothing, the motor was told to
-    /// end its motion or has restarted, or whoever waited for its feedback has left.
+    /// end its motion or has restarted, or the caller that waited for its feedback has left.
     SetPointDropped {
         /// The motor.
         motor: MotorId,
@@ -185,74 +183,80 @@ pub enum Event {
         /// The expected motors that were silent. On CAN, motors whose id filter is on
         /// ([`Target::All`](crate::Target::All)) always are.
         silent: MotorSet,
-        /// Whether it was sent: not if a stop or a bus that was down dropped it before, or a restart that was seen.
+        /// Whether it was sent. `false` if a stop, a bus that was down or a restart that was noticed dropped it before.
         was_sent: bool,
     },
-    /// A motor has confirmed the stop. Also where a [broadcast](crate::master::Master::broadcast) that ends motion
-    /// went to each motor by itself, because another motor was stopped meanwhile.
+    /// A motor has confirmed the stop. Also reported if a [broadcast](crate::master::Master::broadcast) that ends
+    /// motion went to each motor individually, because another motor was stopped meanwhile.
     StopConfirmed {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. While the stop is in force it goes on
-    /// being sent, every 100 ms or so and as soon as the motor is heard again, until it has answered that, or another
-    /// command that stops it (0x80, 0x81): then [`StopConfirmed`](Self::StopConfirmed), or that command's reply, follows.
-    /// Not reported while a bus takes nothing at all: then the stop waits, and nothing need say so. Have a time limit of
-    /// your own.
+    /// A motor has not confirmed the stop, after many attempts: cut its power.
+    ///
+    /// While the stop is in force it is still sent, every 100 ms or so and as soon as the motor is heard again, until
+    /// the motor has answered it or another command that stops it (0x80, 0x81). Then
+    /// [`StopConfirmed`](Self::StopConfirmed), or that command's reply, follows.
+    ///
+    /// Not reported while the bus takes nothing at all: the stop then waits, and there may be no event. Have a time
+    /// limit of your own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor reports by itself: active reply (0xB6) or error reporting (function 3). So, too, is told that it has errors
-    /// where it answers a read of its status too late, twice, or though nobody expects that of it.
+    /// A motor reports unasked: active reply (0xB6) or error reporting (function 3). Also reported if the answer to a
+    /// read of its status shows errors and comes too late, twice, or unexpected.
     Report {
         /// The motor.
         motor: MotorId,
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted, or may have. One of these says so:
+    /// A motor has restarted, or may have. One of these signs was seen:
     ///
     /// - The bus has taken 0x76 for it (which a controller may still hand back).
-    /// - It was silent for a second, also because nobody asked it anything, and does not answer then. This is reported
-    ///   when it does not answer, or is to be moved then, and once more when it answers again. One that lost its supply for
-    ///   less, **or for longer while nobody asked it anything, behind an emergency stop that cuts the power for example**,
-    ///   shows by nothing but the next two: read its run time after each silence, and before a stop is lifted.
-    /// - It says in answer to a request (0xB1) that it has run for less long than since it was first heard, or than it said
-    ///   before and the time since: by more than 250 ms and 1/64 of what it says, for its clock may differ. Not where it is
-    ///   known for 48 days, and not in answer to a command to all. So does one that has not restarted, whose time begins
-    ///   anew after 49.7 days: if it was not read since it was first heard, or said to have restarted.
-    /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
-    ///   turned since it told one within 18 ms of a set-point; in motion mode, an eighth of the scale beyond 500 steps of
-    ///   it in a millisecond. Feedback that answers requests tells nothing of it.
+    /// - Nothing was heard of it for a second, even if it was not asked anything, and then it did not answer, or could
+    ///   not be asked three times because the bus took nothing. This is reported when its answer does not come or when
+    ///   it is to be moved next, and once more when it is heard again.
+    /// - Its answer to a read of its run time (0xB1) is too short: shorter than the time since it was first heard, or
+    ///   than its last answer and the time since. The difference must be more than 250 ms and 1/64 of the answer, since
+    ///   clocks differ. This does not apply if the motor is known for 48 days, or to answers to a command to all. The
+    ///   run time starts anew after 49.7 days, which is taken for a restart if it was not read since the motor was
+    ///   first heard or reported to have restarted.
+    /// - Its stream's feedback reports a position that is more than half a turn beyond what 10,000 degrees/s could have
+    ///   turned since its last feedback within 18 ms of a set-point. In motion mode: an eighth of the scale beyond 500
+    ///   steps of it per millisecond. Feedback that answers requests shows nothing.
     ///
-    /// Its turns may be lost. Whatever moves it is refused until
-    /// [`Master::resume`](crate::master::Master::resume). A command that it has heard since its restart it carries
-    /// out all the same: [stop](crate::master::Master::stop) it.
+    /// Only the last two signs show that a motor lost its supply for less than a second, **or for longer while it was
+    /// not asked anything, for example when an emergency stop cut the power**: read its run time after each silence,
+    /// and before you lift a stop.
+    ///
+    /// Its turns may be lost. Commands that move it are refused until
+    /// [`Master::resume`](crate::master::Master::resume). It still carries out a command that it has heard since its
+    /// restart: [stop](crate::master::Master::stop) it.
     Restarted {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has lost its master and says so (0xF1). Its output is cut; it ignores the first
-    /// command from now on.
+    /// A motor has lost its master and says so (0xF1). Its output is cut, and it ignores the next command.
     LostMaster {
         /// The motor.
         motor: MotorId,
     },
-    /// A reply that nothing waits for: late, doubled, or to somebody else.
+    /// A reply that nothing waits for: late, doubled, or to another master.
     Stray {
         /// The motor.
         motor: MotorId,
         /// The data field.
         data: Data,
     },
-    /// The controller had no place for a frame that came: what it answered counts as unanswered. Look at the bus
-    /// more often.
+    /// The controller had no room for a frame that came: the command that it answered counts as unanswered. Look at the
+    /// bus more often.
     Overrun,
 }
 
 impl Event {
-    /// Temperature, torque current, speed and angle, if the event brings them. The feedback of motion mode does not:
+    /// Temperature, torque current, speed and angle, if the event carries them. The feedback of motion mode does not:
     /// it is an [`AnyReply::Motion`], which [`MotionRanges::feedback`](crate::command::MotionRanges::feedback) scales.
     pub const fn feedback(&self) -> Option<(MotorId, Feedback)> {
         match self {
@@ -267,7 +271,7 @@ impl Event {
     }
 }
 
-/// What a reply that can come without a ticket says in the form of [`Feedback`].
+/// The [`Feedback`] in a reply that can come without a ticket, if it is in that form.
 pub(super) const fn feedback_of(reply: &AnyReply) -> Option<Feedback> {
     match reply {
         AnyReply::Torque(feedback)

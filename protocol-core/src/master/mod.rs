@@ -1,63 +1,112 @@
-//! The master as a state machine: as many requests in flight as the bus carries, and never an answer
-//! to the wrong question.
+//! The master as a state machine. It keeps as many requests in flight as the bus carries, and takes no answer for that
+//! to another question.
 //!
-//! - [`Master::request`] asks one motor for something and gives a [`Ticket`] that knows the answer.
-//! - [`Master::set_point`] streams set-points: only the newest of each motor waits.
-//! - [`Master::broadcast`] asks all motors at once.
-//! - [`Master::stop_all`] stops them, before anything else.
+//! - [`Master::request`] sends one motor a request and returns a [`Ticket`], which recognizes the answer.
+//! - [`Master::set_point`] streams set-points: only the newest of each motor is kept.
+//! - [`Master::broadcast`] sends one command to all motors.
+//! - [`Master::stop_all`] stops them, before anything else is sent.
 //!
 //! # How answers find their questions
-//! Each motor has at most one command in flight. Its reply is known by the motor, the command byte and
-//! the index, and comes no sooner than [`Config::shortest_response`]. What was given up may still be
-//! answered: for [`Config::late_window`] such a reply is expected too, and until it has come or cannot come
-//! any more, no equal question is put to that motor. Other questions are. After a broadcast, requests of
-//! its kind wait likewise for the motors that have not answered it, and the next broadcast waits for all.
-//! Every reply is held against what is in flight and what may come late; what is neither is an active report, or a stray.
+//! Each motor has at most one command in flight. Its reply is recognized by the motor, the command byte and the index,
+//! and comes no sooner than [`Config::shortest_response`].
+//!
+//! A command that was given up may still be answered. Such a reply is expected for [`Config::late_window`]. Until it
+//! has come, or can no longer come, the motor gets no request that would have the same reply. It does get others.
+//! Likewise after a broadcast: a motor that has not answered it gets no request of that kind, and the next broadcast
+//! waits for all motors.
+//!
+//! Every reply is compared with what is in flight and with what may come late. A reply that matches neither is an
+//! active report or a stray.
 //!
 //! # What stops, and what a confirmation means
-//! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is
-//! dropped, and so is what a controller hands back. A confirmation counts if it answers this stop and
-//! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
-//! wait in a mailbox that the stop overtook, and there for as long as the bus is cut. Otherwise the stop goes once
-//! more, when what was sent before must have come. So it does on CAN, too, after each move of all that the motor has
-//! not answered, however long ago that was. The same holds for requests that end motion, which wait for their turn,
-//! though not for moves of all that were asked for later.
+//! A stop is sent before anything else, on CAN whatever is in flight. Nothing older follows it: what waited is dropped,
+//! and so is what a controller hands back.
+//!
+//! A confirmation counts if both of these hold:
+//!
+//! - It answers this stop, and not an earlier one.
+//! - Nothing that was sent before the stop can move the motor any more. A set-point may be in a mailbox that the stop
+//!   overtook, and stays there for as long as the bus is cut.
+//!
+//! Otherwise the stop is sent once more, when everything sent before it must have arrived. On CAN this also happens
+//! after each move of all motors that the motor has not answered, however long ago it was sent.
+//!
+//! The same holds for the reply to a request that ends motion. Such a request waits for its turn, but not for a move of
+//! all motors that was requested after it.
 //!
 //! # What can still go wrong
-//! A reply says which motor, which command and which index, but not which of two equal commands it answers; and
-//! nothing on this side of the wire takes back a frame that a controller, an adapter or the bus still holds. What
-//! follows from these two no master can prevent. If a frame is held back for longer than the late window, an answer
-//! can be wrong, or a move can come behind the stop that was confirmed; so, too, where a bus swaps a move and the stop
-//! behind it, and their answers as well. A frame from before a cut that an adapter holds back for longer than the
-//! reply time-out says that the bus is whole, so that a stop may be confirmed before a move that lies in a mailbox; so
-//! do two such frames that are heard apart while the bus was cut between them. A stop, or what ends the motion of all,
-//! that has lain in a mailbox until nobody expected its answer any more may come after a later stop of the other kind
-//! was confirmed. A command that was given up for want of an answer may lie in the mailbox of a controller that
-//! nobody acknowledges: it is obeyed when the bus is whole again, whenever that is, unless the controller can be
-//! reset. An answer can also be wrong if a drive answers twice or a command reaches it twice (the second reply may be
-//! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
-//! same time (on a line its command alone may look like the reply), or if a drive reports by itself what it was asked
-//! for (an error, or what it was told to report no more and has not heard). A drive that has lost its master sends back
-//! the first command and ignores it: if its message of that was not heard, this may be taken for the acknowledgement of
-//! a command, or for values that are all 0. On RS485 an echo that nobody configured confirms a stop, passes for values
-//! that are all 0, or for a move that its drive has ignored, if noise has taken the echoes of four reads in a row, and
-//! neither these reads nor their answers, or fewer, where answers came late or twice while the next read went into a
-//! cut; and any echo does that comes more than 100 ms after its sending although the port was found empty meanwhile. A
-//! restart shows by a second in which nothing is heard of the motor and an answer that does not come, or a move that is
-//! to go then, by a run time that is shorter than it must be when it is read (0xB1), or by an angle that jumps under a
-//! stream; one that shows by none of these is not noticed. Feedback that comes later and later may be taken for such a
-//! jump, at thousands of degrees a second. Another master may move a motor that is stopped here: its answer to that is an
-//! [`Event::Stray`], and no stop follows by itself. And a stop cannot be confirmed by a motor whose replies do not come
-//! through: then cut its power.
+//! Two facts cannot be changed from this side of the wire. A reply names the motor, the command and the index, but not
+//! which of two equal commands it answers. And a frame that a controller, an adapter or the bus still holds cannot be
+//! taken back. No master can prevent what follows from them:
+//!
+//! ## A frame is held back for longer than the late window
+//! An answer can be wrong, or a move can arrive after its stop was confirmed.
+//!
+//! ## The bus swaps a move and the stop after it, and their answers
+//! The stop is confirmed, and then the motor moves.
+//!
+//! ## A frame from before a cut arrives late
+//! If an adapter holds a frame from before a cut back for longer than the reply time-out, the bus seems intact. Then a
+//! stop may be confirmed while a move is still in a mailbox. The same happens if two such frames are heard apart, and
+//! the bus was cut between them.
+//!
+//! ## A stop stays in a mailbox until no answer to it is expected
+//! A stop, or a command to all that ends motion, may then arrive after a later stop of the other kind was confirmed.
+//!
+//! ## A command that was given up is still in a mailbox
+//! If nobody acknowledges a command on CAN, it may stay in the controller's mailbox after it was given up. Unless the
+//! controller can be reset, the drive carries it out when the bus is intact again, whenever that is.
+//!
+//! ## Another frame looks like the answer
+//! An answer can be wrong in these cases:
+//!
+//! - A drive answers twice, or a command reaches it twice. The second reply may be taken for that to the next request
+//!   of its kind.
+//! - Two motors have the same id.
+//! - Another master sends the same request at the same time. On RS485 its command alone may look like the reply.
+//! - A drive reports unasked what it was also asked for: an error, or something whose report was switched off by a
+//!   command that the drive has not heard.
+//!
+//! ## A drive has lost its master, and its message was not heard
+//! Such a drive sends the first command back and ignores it. If its message (0xF1) was not heard, the returned command
+//! may be taken for an acknowledgement, or for values that are all 0.
+//!
+//! ## An RS485 echo passes for a reply
+//! An echo can confirm a stop, pass for values that are all 0, or make it seem that the drive has ignored a move:
+//!
+//! - An echo that was not configured, if noise has destroyed the echoes of four reads in a row, but neither these reads
+//!   nor their answers. Fewer are enough if answers came late or twice while the next read was lost in a cut.
+//! - Any echo that comes more than 100 ms after its sending, although the port was found empty in between.
+//!
+//! ## A restart is not noticed, or seen where there was none
+//! No frame announces a restart. It shows by one of these signs, and is not noticed without them:
+//!
+//! - Nothing is heard of the motor for a second, and a command in that time is not answered.
+//! - Its run time (0xB1), when it is read, is shorter than it must be.
+//! - Its angle jumps under a stream. At thousands of degrees a second, feedback that comes later and later may look
+//!   like such a jump.
+//!
+//! ## Another master moves a motor that is stopped here
+//! The motor's answer to that is an [`Event::Stray`]. No stop follows automatically.
+//!
+//! ## A motor's replies do not arrive
+//! Then the motor cannot confirm a stop: cut its power.
 //!
 //! # How the bus is shared
-//! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
-//! arbitration against those of low ids and all commands; so no motor gets more than two rounds ahead of one that may
-//! be waiting for its turn to answer, or one round where there are more than 21; where a controller hands frames back,
-//! one round fewer for each frame beyond the first that may lie there: the motor of one that is pushed out would keep all
-//! waiting. Whoever was silent before, or had its chance on a quiet bus, is not waited for: on CAN a silent motor costs
-//! the others the time of its own commands on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
-//! motor keeps the line for [`Config::reply_timeout`]. Who speaks without being asked keeps nobody off it.
+//! The motor that was served least goes first.
+//!
+//! On a full CAN bus, replies of high ids lose every arbitration against replies of low ids and all commands. So the
+//! lead of a motor over one that may still be waiting to answer is limited:
+//!
+//! - It is two rounds, or one if there are more than 21 motors.
+//! - Where a controller hands frames back, it is one round less for each frame beyond the first that may be in its
+//!   mailboxes. Otherwise the motor of a frame that was handed back would keep all others waiting.
+//!
+//! The others do not wait for a motor that was silent before, or that did not answer on a quiet bus. So on CAN a silent
+//! motor costs the others the time of its own commands on the bus and no more.
+//!
+//! On RS485 there is one exchange at a time, and each command to a silent motor occupies the line for
+//! [`Config::reply_timeout`]. Frames that nobody asked for keep no command off the line.
 
 mod broadcast;
 mod config;
@@ -99,23 +148,22 @@ use round_trips::RoundTrips;
 use schedule::Earliest;
 use transmit::{ForAll, Offer};
 
-/// As late as can be.
+/// The latest point in time.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// The master of one bus with up to `N` motors.
 ///
-/// It does no I/O and reads no clock. Whoever runs it calls, in any order and as often as there is
-/// reason:
+/// It does no I/O and reads no clock. Its caller calls, in any order and as often as there is reason:
 ///
-/// 1. [`handle_frame`](Self::handle_frame) (CAN) or [`handle_line`](Self::handle_line) (RS485) with
-///    what was received; each call gives at most one event;
+/// 1. [`handle_frame`](Self::handle_frame) (CAN) or [`handle_line`](Self::handle_line) (RS485) with what was received.
+///    Each call returns at most one event.
 /// 2. [`handle_timeout`](Self::handle_timeout) with the time, after receiving and at least when
-///    [`poll_at`](Self::poll_at) says;
+///    [`poll_at`](Self::poll_at) says.
 /// 3. [`poll_transmit`](Self::poll_transmit) for what to send next, and
-///    [`handle_transmitted`](Self::handle_transmitted) once the bus has taken it, until there is
-///    nothing more to send or the bus takes no more; with [`handle_pushed_out`](Self::handle_pushed_out) for
-///    what a controller hands back, and [`handle_bus_down`](Self::handle_bus_down) when it takes nothing for long;
-/// 4. [`poll_event`](Self::poll_event) until it gives nothing more.
+///    [`handle_transmitted`](Self::handle_transmitted) once the bus has taken it, until there is nothing more to send
+///    or the bus takes no more. Also [`handle_pushed_out`](Self::handle_pushed_out) with what a controller hands back,
+///    and [`handle_bus_down`](Self::handle_bus_down) when the bus takes nothing for long.
+/// 4. [`poll_event`](Self::poll_event) until it returns nothing more.
 ///
 /// The loops of [`io`](crate::io) do just that.
 ///
@@ -151,56 +199,57 @@ pub struct Master<const N: usize> {
     motors: [Motor; N],
     places: Places,
     broadcast: Broadcast,
-    /// Its time-outs are those of now.
+    /// With the time-outs that hold now.
     config: Config,
-    /// `None` where these stay.
+    /// `None` if the time-outs do not change.
     round_trips: Option<RoundTrips>,
     offer: Option<Offer>,
-    /// All were stopped so: nothing moves until that is lifted.
+    /// The stop of all motors that is in force: nothing moves until it is lifted.
     stops_all: Option<StopKind>,
-    /// These were stopped, each by itself.
+    /// Motors that were stopped individually.
     stopped: MotorSet,
-    /// These were switched off by a stop that is in force: no other stop switches them on.
+    /// Motors that a stop in force has switched off: no other stop switches them on.
     switched_off: MotorSet,
-    /// These have lost their master and will ignore the next command.
+    /// Motors that have lost their master and will ignore the next command.
     lost_master: MotorSet,
-    /// A stop to all at once is to be sent before each motor's own.
+    /// A stop to all at once that is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
-    /// When one was sent last.
+    /// When a stop to all was sent last.
     stop_to_all_sent: Instant,
-    /// The last one that was sent, unless it was handed back, or all were moved or told to end their motion since.
+    /// The last stop to all that was sent, unless it was handed back, or all motors were moved or told to end their
+    /// motion since.
     stop_to_all_was: Option<StopKind>,
-    /// CAN: where that is which all were told last, by a broadcast or to stop.
+    /// CAN: where the last command to all is, a broadcast or a stop.
     for_all: ForAll,
-    /// CAN: when the mailboxes are empty of a controller that has handed a frame back for a more urgent one.
+    /// CAN: when the mailboxes of a controller are empty that has handed a frame back for a more urgent one.
     mailboxes_until: Option<Instant>,
-    /// The caller has switched somebody off since the last one was sent.
+    /// The caller has switched a motor off since the last stop to all was sent.
     is_any_off_since: bool,
-    /// What was sent last was a stop that had been called for again.
+    /// The last frame sent was a stop that had been called for again.
     was_called_again: bool,
-    /// The round that the motors are in: that of the last one served.
+    /// The current round: that of the motor that is furthest ahead.
     pace: u32,
     last_ticket: u32,
-    /// The last time that was told.
+    /// The time of the last call that gave it.
     now: Instant,
-    /// No motor has anything to do by itself before this.
+    /// No motor has anything to do because of the time before this.
     due: Instant,
-    /// Until when the frames that were sent keep the bus busy, or when one was last received. On
-    /// RS485: when the line may be used again.
+    /// CAN: until when the frames that were sent keep the bus busy, or when one was last received. RS485: when the line
+    /// may be used again.
     busy_until: Instant,
-    /// When a frame was last received. Only CAN looks at it.
+    /// When a frame was last received. Used on CAN only.
     heard_at: Instant,
 }
 
 impl<const N: usize> Master<N> {
     const CAPACITY: () = assert!(N >= 1 && N <= 32, "a master has 1 to 32 motors");
 
-    /// A master that knows no motor yet: a place is taken at a motor's first request.
+    /// Creates a master that knows no motor yet. A motor takes a place with its first request.
     pub fn new(mut config: Config) -> Self {
         const { Self::CAPACITY };
         let round_trips = RoundTrips::new(&mut config);
         config.reply_timeout = config.reply_timeout.max(SHORTEST_TIMEOUT);
-        // Nobody waits for what counts as lost.
+        // A reply that counts as lost is not waited for.
         config.longest_response = config.longest_response.min(config.reply_timeout);
         Self {
             motors: [Motor::default(); N],
@@ -229,7 +278,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
+    /// Takes note of the time: what is overdue is sent again or given up, and what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         if self.stops_again_at().is_some_and(|at| at <= now) {
@@ -258,9 +307,8 @@ impl<const N: usize> Master<N> {
         self.age_broadcast(now);
     }
 
-    /// The bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything that
-    /// waits is dropped, so that nothing moves when the bus comes back and nobody waits for ever. Only
-    /// stops go on waiting.
+    /// Takes note that the bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything that
+    /// waits is dropped, so that nothing moves when the bus comes back and no caller waits for ever. Only stops stay.
     pub fn handle_bus_down(&mut self, now: Instant) {
         self.now = now;
         self.offer = None;
@@ -274,7 +322,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The next event, apart from those that [`handle_frame`](Self::handle_frame) and
+    /// Returns the next event, apart from those that [`handle_frame`](Self::handle_frame) and
     /// [`handle_line`](Self::handle_line) returned.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.broadcast.take_result().or_else(|| {
@@ -283,7 +331,7 @@ impl<const N: usize> Master<N> {
         })
     }
 
-    /// How it behaves.
+    /// Its configuration, with the time-outs that hold now.
     pub const fn config(&self) -> &Config {
         &self.config
     }
@@ -298,7 +346,7 @@ impl<const N: usize> Master<N> {
         self.motor(motor)?.latest
     }
 
-    /// The patience of now (see [`Config::longest_reply_timeout`]) with so many attempts, 1 to 15.
+    /// The current reply time-out (see [`Config::longest_reply_timeout`]) with this many attempts, 1 to 15.
     pub fn patience(&self, attempts: u8) -> Patience {
         Patience { reply_timeout: self.config.reply_timeout, attempts }
     }
@@ -308,8 +356,8 @@ impl<const N: usize> Master<N> {
         self.broadcast.is_in_flight() || !self.places.in_flight.is_empty()
     }
 
-    /// Whether such a command may be sent at all. Inlined, so that what follows from a set-point's kind alone
-    /// is known when it is compiled.
+    /// Whether a command of this kind may be sent at all. Inlined, so that what follows from a set-point's kind alone
+    /// is known at compile time.
     #[inline(always)]
     pub(crate) fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
         kind.channel_to(target)?;
@@ -317,7 +365,7 @@ impl<const N: usize> Master<N> {
             kind.check_on_rs485()?;
         }
         let is_refused = match target {
-            // What holds a motor switches it on.
+            // A command that holds a motor switches it on.
             Target::Motor(motor) if kind == Kind::Known(Opcode::Stop) => {
                 self.switched_off.contains(motor)
             }
@@ -328,7 +376,7 @@ impl<const N: usize> Master<N> {
     }
 }
 
-/// The next thing that is to be reported of a motor.
+/// The next thing to report of a motor.
 fn take_news(motor: &mut Motor, _: &Config) -> Option<Event> {
     let id = motor.id?;
     let ticket = TicketId { motor: id, number: motor.ticket };

@@ -1,4 +1,4 @@
-//! Stopping beats everything.
+//! Stops, which go before everything else.
 
 use crate::command::{Shutdown, Stop};
 use crate::data::Data;
@@ -19,12 +19,12 @@ use crate::time::{Duration, Instant};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum StopKind {
-    /// 0x81: stop and hold still (2.18), with all the torque that the drive has. It confirms that it was told, and
-    /// needs time to stand. One that reports an error or has lost its master (0xB3), now or later, confirms it and
-    /// holds nothing: where a load could fall, read its errors (0x9A) and lock a brake.
+    /// 0x81: stop and hold still (2.18), with all the torque that the drive has. The motor confirms that it was told,
+    /// and needs time to come to rest. A motor that reports an error or has lost its master (0xB3), now or later,
+    /// confirms and holds nothing. Where a load could fall, read its errors (0x9A) and lock a brake.
     Hold,
-    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake takes its time to
-    /// lock, some 50 to 150 ms: where a load could fall, hold it, lock the brake (0x78), and wait for that long before.
+    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake takes some 50
+    /// to 150 ms to lock: where a load could fall, first hold it, lock the brake (0x78), and wait for that long.
     Off,
 }
 
@@ -40,7 +40,7 @@ impl StopKind {
         Question::without_key(self.command().0)
     }
 
-    /// How this command stops a motor, if it does: 0x81 or 0x80.
+    /// The kind of stop that this command is: 0x81 or 0x80, else `None`.
     pub fn by(command: Kind) -> Option<Self> {
         match command.opcode()? {
             Opcode::Stop => Some(Self::Hold),
@@ -50,56 +50,67 @@ impl StopKind {
     }
 }
 
-/// How long a stop's confirmation is waited for at the most before the stop is sent once more; and how long a
-/// stop waits on a line for another motor's answer.
+/// The longest wait for a stop's confirmation before the stop is sent again. Also how long a stop waits on RS485 for
+/// another motor's answer.
 pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// How many stop frames a motor gets before it counts as not stopped.
 pub(super) const STOP_ATTEMPTS: u8 = 15;
-/// How long such a motor has no other, at least; then it gets one more.
+/// How long such a motor gets no further stop, at least; then it gets one more.
 const STOP_AGAIN_AFTER: Duration = Duration::from_millis(100);
-/// On a line the stops of motors that do not answer leave so many times their own time to everybody else.
+/// RS485: the stops of motors that do not answer leave the others this many times their own time.
 const LINE_FOR_OTHERS: u32 = 4;
 
 impl<const N: usize> Master<N> {
-    /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent
-    /// and, on CAN, whatever is in flight.
+    /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent and, on
+    /// CAN, whatever is in flight.
     ///
-    /// - Requests and set-points that wait are dropped. Until [`lift_stop`](Self::lift_stop) whatever may move a
-    ///   motor [is refused](Kind::is_refused_while_stopped), as are restarts and writes to ROM. Reads are not.
-    /// - Each motor gets its first stop before any gets its second. One that was stopped before, and was sent nothing since
-    ///   that a stop would refuse, has had its first. A stop that is not confirmed within
-    ///   [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms where that is longer, is repeated,
-    ///   up to 15 times in all, or 30 where it is called again meanwhile.
-    /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
-    ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
-    /// - Neither comes while the bus takes nothing, with its cable off for example: the stop waits then. Have a time limit
-    ///   of your own, as the loops of [`io`](crate::io) have, after which who has not confirmed **needs its power cut**.
-    /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
-    ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
-    /// - Called again, lifted meanwhile or not, it goes on with what is under way, since nothing that moves goes before
-    ///   that is over: a program may call it in every cycle. On RS485 every second turn is somebody else's then; on CAN a
-    ///   motor that has confirmed it, and was sent nothing since that a stop would refuse, is told again when nobody who
-    ///   was told no more often may be waiting for a turn to answer. It leaves the motors no time for requests; and after
-    ///   an answer that was lost the next confirmation comes only when that cannot come any more.
+    /// - Requests and set-points that wait are dropped. Until [`lift_stop`](Self::lift_stop) whatever may move a motor
+    ///   [is refused](Kind::is_refused_while_stopped), as are restarts and writes to ROM. Reads are not.
+    /// - Each motor gets its first stop before any gets its second. A motor that was stopped before, and was sent
+    ///   nothing since that a stop would refuse, has had its first.
+    /// - A stop that is not confirmed within [`Config::reply_timeout`](crate::master::Config::reply_timeout), or within
+    ///   50 ms if that is shorter, is repeated: it is sent up to 15 times in all, or 30 if this is called again
+    ///   meanwhile.
+    /// - Then an event reports that the motor has confirmed it, or that it has not. A confirmation counts only once
+    ///   nothing that was sent before the stop can move the motor any more, for example from a controller's mailbox.
+    /// - While the bus takes nothing, for example because its cable is off, the stop waits and neither is reported.
+    ///   Have a time limit of your own, as the loops of [`io`](crate::io) have. After it, a motor that has not
+    ///   confirmed **needs its power cut**.
+    /// - While the stop is in force, a motor that has not confirmed gets one more every 100 ms, or as often as RS485
+    ///   has time for it, and at once when it is heard: it may be back on the bus at any time.
+    /// - A program may call this in every cycle. If it is called again, even if it was lifted in between, a stop under
+    ///   way goes on: nothing that moves is sent before that is over. On RS485 every second turn then goes to others.
+    ///   On CAN a motor that has confirmed, and was sent nothing since that a stop would refuse, is told again once the
+    ///   motors that were sent no more than it have had their turn to answer. Such calls leave the motors no time for
+    ///   requests. After a lost answer, the next confirmation comes only when that answer can no longer come.
     ///
     /// # Motors without a place
-    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
-    /// found more than there are places, or where there is none for all of `also`, or no motor has one, one stop to all
-    /// goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So name all
-    /// motors that a broadcast may reach, there or in `also`. It goes again where this is called again, on CAN if there
-    /// is no place for all of `also`, once in 100 ms at the most if nothing moved meanwhile, or each time where no motor
-    /// has one.
+    /// One stop to all is sent before each motor's own in these cases:
+    ///
+    /// - on RS485;
+    /// - on CAN, once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has found
+    ///   more motors than there are places;
+    /// - if there is no place for all of `also`, or if no motor has a place.
+    ///
+    /// A motor without a place gets that single frame and confirms nothing. So name all motors that a broadcast may
+    /// reach, there or in `also`.
+    ///
+    /// If this is called again and nothing was moved since, the stop to all is repeated at most every 100 ms, on CAN
+    /// only if there is no place for all of `also`. If no motor has a place, it is repeated with each call.
     ///
     /// # A motor that is off stays off
-    /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
-    /// [`StopKind::Off`] where [`StopKind::Hold`] is called for, a request of its own to hold it (0x81) is refused, and
-    /// the stop to all is left out where it would hold such a motor. After a stop of all with `Off` that holds for every
-    /// motor, also for one that gets its place
-    /// later. A stop to all that still waits to switch off goes all the same.
+    /// If a stop has switched a motor off, no other stop switches it on until the first is lifted:
+    ///
+    /// - It gets [`StopKind::Off`] where [`StopKind::Hold`] is called for.
+    /// - A request to hold it (0x81) is refused.
+    /// - A stop to all that would hold it is left out.
+    ///
+    /// After a stop of all with `Off` this applies to every motor, also to one that gets its place later. A stop to all
+    /// that still waits to switch off is sent all the same.
     ///
     /// # Errors
-    /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
-    /// stopped all the same, and one stop goes to all.
+    /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are stopped all the same, and
+    /// one stop goes to all.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
         let was_stopped = self.stops_all.is_some();
@@ -121,7 +132,7 @@ impl<const N: usize> Master<N> {
         }
         let goes =
             self.is_same_for_all(kind) && self.is_stop_to_all_due(is_called_again, result.is_err());
-        // One that waits has reached nobody yet: it goes, or this in its place where it was lifted.
+        // One that waits has reached no motor yet: it goes, or this one in its place if it was lifted.
         let waits = self.stop_to_all.map(|it| if was_stopped { it } else { kind });
         let waits = waits.filter(|&it| self.is_same_for_all(it));
         self.stop_to_all = goes.then_some(kind).or(waits);
@@ -135,10 +146,11 @@ impl<const N: usize> Master<N> {
         !self.at(self.places.taken).all(|(_, motor)| stands(motor))
     }
 
-    /// Whether one stop to all goes beside each motor's own: for motors without a place, which nothing else reaches.
-    /// Called again it goes after a rest, when it prolongs nobody's wait for what is owed.
+    /// Whether one stop to all is sent beside each motor's own, for motors without a place, which nothing else reaches.
+    /// Called again, it is sent only after a rest, and not while a motor's stop waits for pending answers: it would
+    /// prolong that wait.
     fn is_stop_to_all_due(&self, is_called_again: bool, is_no_place_left: bool) -> bool {
-        // Nobody is known: it is all that can be done for whoever is there.
+        // No motor is known: a stop to all is all that can be done.
         if self.places.taken.is_empty() {
             return true;
         }
@@ -153,13 +165,14 @@ impl<const N: usize> Master<N> {
             && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
     }
 
-    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
-    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it. A stop to all that was not sent yet
-    /// still goes before it: it may be the only one that motors without a place get.
+    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop) or
+    /// [`lift_stop_of`](Self::lift_stop_of), the motor is refused the same commands. A stop to all that was not sent
+    /// yet still goes first: motors without a place may get no other.
     ///
-    /// No [broadcast](Self::broadcast) that was put before undoes it. One that ends motion would where it switches
-    /// off a motor that is to be held, or switches on one that is to be off. If such a one still waits, or is handed
-    /// back later, each of the other motors gets it by itself instead, and confirms it as a stop.
+    /// No [broadcast](Self::broadcast) that was put before undoes this stop. One that ends motion would do so if it
+    /// switches off a motor that is to be held, or switches on one that is to be off. If such a broadcast still waits,
+    /// or is handed back later, each of the other motors gets the command individually instead, and confirms it as a
+    /// stop.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.
@@ -172,8 +185,8 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// On a line the answer to what is in flight would meet what ends motion and goes over it: nobody would hear
-    /// either.
+    /// RS485: what ends motion waits until the answer to what is in flight has come. They would collide, and neither
+    /// would be heard.
     pub(super) fn let_line_answer(&mut self) {
         if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, self.in_flight_since()) {
             self.busy_until = self.busy_until.max(sent + self.config.settle_time);
@@ -189,7 +202,7 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
-        // What goes again by itself is the last that the motor was told, by whomever, and no stop that anybody called for.
+        // A stop that is repeated automatically is what the motor was told last. Nobody has called for it again.
         if kind == StopKind::Off && purpose == Purpose::Stop {
             self.switched_off.insert(motor);
         }
@@ -204,8 +217,8 @@ impl<const N: usize> Master<N> {
         });
     }
 
-    /// Whoever has not confirmed a stop that is in force gets it once more when it is time: on a cable that is mended
-    /// it would turn on.
+    /// Sends each motor that has not confirmed a stop in force that stop once more, when it is time: on a cable that is
+    /// repaired it would still turn.
     pub(super) fn stop_again(&mut self) {
         let rest = self.rest_before_next_stop();
         for place in self.places.taken.iter() {
@@ -213,19 +226,20 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Who is heard with a stop in force that it has not confirmed is back: it gets that at once, before anybody asks it
-    /// anything more.
+    /// A motor that was heard, and has not confirmed a stop in force, is back. It gets the stop at once, before it is
+    /// asked anything more.
     #[inline(never)]
     pub(super) fn stop_who_is_back(&mut self, motor: MotorId) {
         let Some(place) = self.places.of(motor) else { return };
-        // What was asked is answered first. Who goes on answering that, and no stop, leaves others half of the time.
+        // A request under way is answered first. A motor that answers requests, but no stop, leaves half of the time to
+        // others.
         if self.motors.get(place).is_some_and(|motor| motor.request.is_none()) {
             self.stop_once_more(place, self.stop_timeout());
         }
     }
 
-    /// The motor at this place gets the stop that it has not confirmed once more, if it has rested for so long. Inlined:
-    /// firmware that calls it takes more flash.
+    /// Sends the motor at this place the stop that it has not confirmed once more, if it has rested for this long.
+    /// Inlined: a call costs firmware more flash.
     #[inline(always)]
     fn stop_once_more(&mut self, place: usize, rest: Duration) {
         let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
@@ -235,7 +249,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// When somebody gets a stop once more.
+    /// When a motor gets a stop once more.
     pub(super) fn stops_again_at(&self) -> Option<Instant> {
         if !self.is_any_stopped() {
             return None;
@@ -245,10 +259,10 @@ impl<const N: usize> Master<N> {
         Some(first + self.rest_before_next_stop())
     }
 
-    /// The stop in force that this motor has not confirmed, and since when nothing goes on with that.
+    /// The stop in force that this motor has not confirmed, and since when nothing was done about it.
     fn unconfirmed_stop(&self, motor: &Motor) -> Option<(MotorId, StopKind, Instant)> {
         let (id, (kind, since)) = (motor.id?, motor.unconfirmed_stop()?);
-        // What all are about to be told may be another.
+        // What all motors are about to be told may be a different stop.
         (self.is_stopped(id) && !self.broadcast.waits_to_end_motion()).then_some((id, kind, since))
     }
 
@@ -261,7 +275,7 @@ impl<const N: usize> Master<N> {
         STOP_AGAIN_AFTER.max(self.stop_timeout().times(LINE_FOR_OTHERS * silent))
     }
 
-    /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
+    /// One motor is told to end its motion: a command to all that was put before must not undo that.
     pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: StopKind) {
         self.broadcast.was_overtaken(by, motor.into());
         if self.broadcast.is_waiting() {
@@ -269,7 +283,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// What a motor that is about to be held gets instead where all are let go by this.
+    /// What a motor that is about to be held gets instead if this command lets all motors go.
     pub(super) fn stop_that_lets_go(&self, all: Kind) -> Option<Asked> {
         let (off, data) = StopKind::Off.command();
         all.lets_go().then(|| self.stop_of(off, data, Purpose::Stop))
@@ -285,15 +299,15 @@ impl<const N: usize> Master<N> {
         self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT)
     }
 
-    /// What ends the motion of all was handed back, or waits: it goes. Where it would undo a later stop of one motor,
-    /// the others that have a place get it each by itself, and nobody is restarted.
+    /// A command that ends the motion of all waits or was handed back: it is sent. If it would undo a later stop of one
+    /// motor, each of the others that have a place gets it individually, and no motor is restarted.
     pub(super) fn end_motion_of_all(&mut self) {
         let (Some(kind), data) = self.broadcast.command() else { return };
         let (held, off) = self.broadcast.stopped_since();
         let undone = match kind.opcode() {
             _ if !kind.ends_motion() => return,
             Some(Opcode::Shutdown) => held,
-            // What a stop has switched off stays off until that is lifted, whenever it was.
+            // A motor that a stop has switched off stays off until that is lifted, whenever it was.
             Some(Opcode::Stop) => off.with(self.switched_off),
             Some(Opcode::LockBrake) => MotorSet::EMPTY,
             _ => held.with(off),
@@ -312,7 +326,8 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Whether a motor was [stopped](Self::stop), by itself or with [all](Self::stop_all), and that was not lifted.
+    /// Whether a motor was [stopped](Self::stop), individually or with [all](Self::stop_all), and the stop was not
+    /// lifted.
     pub fn is_stopped(&self, motor: MotorId) -> bool {
         self.stops_all.is_some() || self.stopped.contains(motor)
     }
@@ -321,20 +336,21 @@ impl<const N: usize> Master<N> {
         self.stops_all.is_some() || !self.stopped.is_empty()
     }
 
-    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse: every stop, whoever has
-    /// called for it.
+    /// Lifts every stop, no matter which caller called for it: what [`stop_all`](Self::stop_all) and
+    /// [`stop`](Self::stop) refused is accepted again.
     ///
-    /// Nobody asks a motor that has confirmed its stop anything. If its power may have been off since, read its run time
-    /// (0xB1) when it is back, and before this: that tells that it has [restarted](crate::master::Event::Restarted), and its
-    /// turns may be lost.
+    /// A motor that has confirmed its stop is not asked anything meanwhile. If its power may have been off since, read
+    /// its run time (0xB1) when it is back and before you lift the stop. That shows that it has
+    /// [restarted](crate::master::Event::Restarted), in which case its turns may be lost.
     pub fn lift_stop(&mut self) {
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;
         self.switched_off = MotorSet::EMPTY;
     }
 
-    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor, **whoever has called for that**: where several
-    /// stop one motor, only who knows why it was stopped lifts it. A stop of all stays in force for it, too.
+    /// Lifts the [`stop`](Self::stop) of this motor, **no matter which caller called for it**. Where several callers
+    /// stop one motor, only the one that knows why it was stopped may lift it. A stop of all stays in force, also for
+    /// this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
         self.stopped.remove(motor);
         if self.stops_all.is_none() {
@@ -342,7 +358,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Whether a stop like this may go to all at once: it switches nobody on who is to stay off.
+    /// Whether a stop of this kind may go to all at once: it switches on no motor that is to stay off.
     fn is_same_for_all(&self, kind: StopKind) -> bool {
         kind == StopKind::Off || self.switched_off.is_empty()
     }
@@ -366,7 +382,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
+    /// If this is the stop to all, and in force, it was handed back and is sent once more. Returns whether it is.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
         let is_it = |kind: &StopKind| kind.command().1 == packet.data;
         let Some(kind) = self.stops_all.filter(is_it) else { return false };
@@ -381,8 +397,8 @@ impl<const N: usize> Master<N> {
         true
     }
 
-    /// Whether a [stop of all](Self::stop_all) waits to be sent to all at once, which stops also motors that have no
-    /// place. Nobody confirms it, so whoever waits for a stop waits for this, too.
+    /// Whether a [stop of all](Self::stop_all) waits to be sent to all at once, which also stops motors that have no
+    /// place. No motor confirms it: to wait for a stop, wait for this, too.
     pub const fn is_stop_to_all_waiting(&self) -> bool {
         self.stop_to_all.is_some()
     }
