@@ -1,11 +1,11 @@
-//! What a master assumes about its bus, and how patient it is.
+//! What a master assumes about its bus, and its time-outs and attempts.
 
 use crate::firmware::Firmware;
 use crate::kind::Kind;
 use crate::opcode::{Opcode, Repeat};
 use crate::time::Duration;
 
-/// The bus that a master speaks on.
+/// The bus of a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -14,76 +14,83 @@ pub enum Bus {
     Can,
     /// RS485: one exchange at a time on the whole line.
     Rs485 {
-        /// Pause between the end of a reply and the next command, for the drives to turn around.
+        /// Pause between the end of a reply and the next command, in which the drives turn around.
         turnaround: Duration,
         /// Whether the adapter hands back what is sent. If so, the first frame with the same bytes is dropped.
         ///
-        /// If this says no, the loops find out: until four answers in a row have come without an echo, they read a
-        /// motor's status (0x9A) before each command to it whose echo may pass for the answer, and take what equals
-        /// that command for its echo. Only the first attempt of a stop does not wait for that, and is confirmed by the
-        /// next one then. A motor that is not there is waited for twice so. What is sent only once, because it writes
-        /// to ROM, counts as not answered if that read was lost. See [`EchoFilter`](crate::io::EchoFilter).
+        /// If this is `false`, the [loops](crate::io) find out whether the adapter echoes, until four answers in a row
+        /// have come without an echo. If the echo of a command may pass for its answer, they first read that motor's
+        /// status (0x9A), and take a frame that equals the command for its echo:
         ///
-        /// If this says yes and the adapter does not echo, an answer of the command's own bytes counts as the echo:
-        /// no stop is confirmed, and no reading of 0 is heard.
+        /// - The first attempt of a stop does not wait for that read. It is then confirmed by the next attempt.
+        /// - A motor that is not there costs two time-outs.
+        /// - A command that is sent only once, because it writes to ROM, counts as not answered if the read was lost.
+        ///
+        /// See [`EchoFilter`](crate::io::EchoFilter).
+        ///
+        /// If this is `true` and the adapter does not echo, an answer that equals its command counts as the echo: no
+        /// stop is confirmed, and no reading of 0 is heard.
         echo: bool,
     },
 }
 
-/// Bits of a CAN frame with eight data bytes, as many stuff bits as there can be, and the pause after
-/// it.
+/// Bits of a CAN frame with eight data bytes, with as many stuff bits as possible and the pause after it.
 const LONGEST_CAN_FRAME_BITS: u32 = 135;
 
-/// What others wait for the reply to a write to ROM (0x43).
+/// How long the reply to a write to ROM (0x43) is waited for at least.
 const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// How a master behaves. Start from [`can`](Self::can) or [`rs485`](Self::rs485).
+/// The behaviour of a master. Start from [`can`](Self::can) or [`rs485`](Self::rs485).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Config {
     /// The bus.
     pub bus: Bus,
-    /// Which revision of the protocol the motors speak, for what comes without a typed request:
-    /// feedback, reports, answers to broadcasts.
+    /// Which revision of the protocol the motors speak. It decodes what comes without a typed request: feedback,
+    /// reports, answers to broadcasts.
     pub firmware: Firmware,
-    /// How long to wait for a reply after a command is sent, at least 1 ms. On a full bus replies queue
-    /// behind other motors' frames, so this is longer than a drive takes. To what is sent once only because it
-    /// writes to ROM, 20 ms at least: that takes a drive long, and without its reply nobody knows whether it has.
+    /// How long to wait for a reply after a command is sent, at least 1 ms. It is longer than a drive takes, because on
+    /// a full bus replies queue behind the frames of other motors.
+    ///
+    /// For a command that is sent only once because it writes to ROM, it is at least 20 ms: the write takes long, and
+    /// only its reply shows that it was done.
     pub reply_timeout: Duration,
-    /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two, and
-    /// are the longest before anything was measured: an adapter that holds replies back works without being
-    /// known, and a fast bus stays fast. `late_window` and `longest_response` grow and shrink by as much.
-    /// What a [`Patience`] says is not touched. See [`adapting_up_to`](Self::adapting_up_to).
+    /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two. They start
+    /// with this. So an adapter that holds replies back needs no configuration, and a fast bus stays fast.
+    /// `late_window` and `longest_response` grow and shrink by the same amount. A [`Patience`] is not changed. See
+    /// [`adapting_up_to`](Self::adapting_up_to).
     pub longest_reply_timeout: Duration,
-    /// How often at most a request is sent whose repetition is harmless, 1 to 15.
+    /// How often a request is sent at most if repeating it is harmless, 1 to 15.
     pub attempts: u8,
-    /// How long a frame is on the wire at the most.
+    /// How long a frame is on the wire at most.
     pub frame_time: Duration,
-    /// A reply that comes sooner after a command than this cannot be its answer: a drive needs some 0.8 ms. This
-    /// keeps a doubled frame apart from the answer to the next request of its kind. A frame that looks like the last
-    /// answer and comes within 0.5 ms both of what was last heard of the motor and of the command is no answer either.
-    /// A drive that answers twice, and the second time later than that after the next command, is believed.
+    /// A reply that comes sooner than this after a command cannot be its answer: a drive needs some 0.8 ms. This tells
+    /// a doubled frame from the answer to the next request of its kind.
     ///
-    /// If the clock's steps are longer than this it must be 0. Then nothing of this holds: an answer within the step
-    /// of its command is in time.
+    /// Nor is a frame an answer if it looks like the last answer and comes within 0.5 ms (on CAN within two frames, if
+    /// that is longer) both of what was last heard of the motor and of the command. If a drive answers twice, and the
+    /// second answer comes later than that after the next command, it is believed.
+    ///
+    /// If the clock's steps are longer than this, it must be 0. Then none of this applies: an answer within the same
+    /// clock step as its command is in time.
     pub shortest_response: Duration,
-    /// How long a reply takes at the most when it need not wait for the bus, adapters included: no longer than
-    /// `reply_timeout`, which counts where that is shorter.
+    /// How long a reply takes at most when it need not wait for the bus, adapters included. If `reply_timeout` is
+    /// shorter, that counts.
     ///
-    /// On a full CAN bus replies of high ids lose every arbitration. So no motor gets its next command
-    /// while another's older one may still be waiting to be answered: until this time is over and the
-    /// bus was quiet, or the motor was silent before. On either bus feedback of a stream counts as lost no sooner.
+    /// On CAN the others [wait](crate::master#how-the-bus-is-shared) for a motor that may still be waiting to answer:
+    /// until this time is over and the bus was quiet. On either bus, feedback of a stream counts as lost no sooner than
+    /// this.
     pub longest_response: Duration,
-    /// For how long a reply may still come after its command was given up or, where a stop took its place, after
-    /// the stop's own time-out. Until then no request that asks the same goes to that motor, so that the late reply
-    /// cannot be taken for its answer. Other requests go.
+    /// How long a reply may still come after its command was given up or, if a stop took its place, after the stop's
+    /// time-out. Until then the motor gets no request that would have the same reply, so that the late reply cannot be
+    /// taken for its answer. It does get others.
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,
-    /// How long a motor is left alone after its restart (0x76).
+    /// How long a motor is sent nothing after its restart (0x76).
     pub restart_time: Duration,
-    /// How long a motor is left alone after another command without reply.
+    /// How long a motor is sent nothing after another command without reply.
     pub settle_time: Duration,
 }
 
@@ -91,8 +98,8 @@ impl Config {
     /// For CAN at 1 Mbit/s and firmware V4.3.
     pub const CAN: Self = Self::can(1_000_000);
 
-    /// For CAN at `bit_rate`: replies within 3 ms and the time of 128 frames, which is two cycles of
-    /// 32 motors; three attempts.
+    /// For CAN at `bit_rate`: replies within 3 ms and the time of 128 frames, which is two cycles of 32 motors; three
+    /// attempts.
     pub const fn can(bit_rate: u32) -> Self {
         let rate = if bit_rate == 0 { 1_000_000 } else { bit_rate };
         let frame_micros = (LONGEST_CAN_FRAME_BITS * 1_000_000 / rate) as u64 + 1;
@@ -113,8 +120,7 @@ impl Config {
         }
     }
 
-    /// For RS485 at `bit_rate`: replies within 5 ms and the time of the reply's own bytes, three
-    /// attempts.
+    /// For RS485 at `bit_rate`: replies within 5 ms and the time of the reply's own bytes; three attempts.
     pub const fn rs485(bit_rate: u32, echo: bool) -> Self {
         let rate = if bit_rate == 0 { 115_200 } else { bit_rate };
         // 13 bytes of 10 bits.
@@ -129,8 +135,8 @@ impl Config {
         }
     }
 
-    /// The same, but with time-outs that follow the measured round trips: no shorter than they are here, and
-    /// up to `longest`.
+    /// The same with time-outs that follow the measured round trips: no shorter than they are here, and up to
+    /// `longest`.
     ///
     /// ```
     /// use myactuator_protocol_core::master::Config;
@@ -159,28 +165,28 @@ impl Config {
         }
     }
 
-    /// A doubled frame comes so soon after the first; no drive answers the next command so quickly. On CAN it takes its
-    /// time on the wire.
+    /// A doubled frame comes this soon after the first. No drive answers the next command so quickly. On CAN the frame
+    /// takes its time on the wire.
     pub(super) fn doubled_within(&self) -> Duration {
         let soon = Duration::from_micros(500);
         if self.is_rs485() { soon } else { soon.max(self.frame_time.times(2)) }
     }
 
-    /// How long a motor is left alone after a command without reply.
+    /// How long a motor is sent nothing after a command without reply.
     pub(super) fn hold_after(&self, kind: Kind) -> Duration {
         if kind == Kind::Known(Opcode::Reset) { self.restart_time } else { self.settle_time }
     }
 }
 
-/// How one request is to be treated, where the master's [`Config`] does not fit.
+/// How to treat one request, where the master's [`Config`] does not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Patience {
     /// How long to wait for a reply.
     pub reply_timeout: Duration,
-    /// How often at most to send it, 1 to 15. More than once is for commands that act again with
-    /// each sending only if that does no harm here: the caller must know.
+    /// How often to send it at most, 1 to 15. If the command acts again with each sending, more than 1 is only for a
+    /// caller that knows that this does no harm.
     pub attempts: u8,
 }
 

@@ -12,29 +12,29 @@ pub enum Presence {
     Unknown,
     /// It answered last time.
     Present,
-    /// It did not answer last time, or the time before.
+    /// It did not answer the last one or two commands.
     Late,
-    /// It did not answer three times or more, or could not be asked as often: the bus carried nothing.
+    /// It did not answer three commands or more in a row, or could not be sent as many because the bus carried nothing.
     Silent,
 }
 
-/// How well a motor has answered so far. Counters stay at their largest value.
+/// How well a motor has answered so far. Counters stop at their largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Health {
     /// Whether it is there.
     pub presence: Presence,
-    /// When anything was last heard of it; `None` for never.
+    /// When anything was last heard of it; `None` if never.
     pub last_seen: Option<Instant>,
     /// Time from a command's sending to its reply, averaged over some eight replies.
     pub round_trip: Duration,
-    /// Replies that came in time. What a controller hands back afterwards had none: it is taken off where a late
-    /// reply may have been taken for its own.
+    /// Replies that came in time. If a controller hands back a command for which a late reply may have been counted,
+    /// one is subtracted.
     pub answered: u32,
-    /// Commands without a reply in time, each attempt counted. What a controller hands back afterwards is taken off.
-    /// One frame is like another: where several attempts were sent and a stop went over them, or was answered for an
-    /// earlier one, this may be off by as many as were handed back.
+    /// Commands without a reply in time, each attempt counted. What a controller hands back afterwards is subtracted.
+    /// Equal frames cannot be told apart: if a stop took the place of several attempts, or was confirmed by the answer
+    /// to an earlier one, this may be off by the number of frames handed back.
     pub lost: u16,
     /// Replies that nothing waited for.
     pub stray: u16,
@@ -42,14 +42,14 @@ pub struct Health {
     pub superseded: u16,
 }
 
-/// What took longer counts as this: it was the caller who did not look.
+/// Longer ones count as this: the caller did not look in time.
 const LONGEST_ROUND_TRIP: Duration = Duration::from_millis(250);
 pub(super) const SILENT_AFTER: u8 = 3;
 
-/// [`Health`] as it is kept, in less space.
+/// [`Health`] as it is stored, in less space.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Record {
-    /// If it was heard.
+    /// If it was heard at all.
     heard_at: Instant,
     was_heard: bool,
     round_trip_us: u32,
@@ -74,14 +74,14 @@ impl Record {
         Duration::from_micros(self.round_trip_us.into())
     }
 
-    /// Something was heard of it. Gives when it was before.
+    /// Something was heard of it. Returns when it was last heard before.
     pub(super) fn note_heard(&mut self, now: Instant) -> Option<Instant> {
         let before = self.last_seen();
         (self.heard_at, self.was_heard) = (now, true);
         before
     }
 
-    /// A reply came in time. How long it took is not known where several attempts were under way.
+    /// A reply came in time. How long it took is not known if several attempts were under way.
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
         self.answered = self.answered.saturating_add(1);
         if let Some(round_trip) = round_trip {
@@ -98,7 +98,7 @@ impl Record {
         self.lost = self.lost.saturating_add(1);
     }
 
-    /// One that counted as lost was never on the bus.
+    /// A command that counted as lost was never on the bus.
     pub(super) fn uncount_miss(&mut self) {
         self.lost = self.lost.saturating_sub(1);
     }

@@ -30,7 +30,7 @@ impl MotorSet {
         self.0 |= 1 << motor.index();
     }
 
-    /// Takes a motor out.
+    /// Removes a motor.
     pub const fn remove(&mut self, motor: MotorId) {
         self.0 &= !(1 << motor.index());
     }
@@ -106,7 +106,7 @@ impl fmt::Debug for MotorSet {
     }
 }
 
-/// The ids, parted by spaces.
+/// The ids, separated by spaces.
 impl fmt::Display for MotorSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (place, motor) in self.iter().enumerate() {

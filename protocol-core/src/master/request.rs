@@ -1,4 +1,4 @@
-//! A motor's request: what was asked, and how far it is.
+//! A motor's request: what was asked, and its state.
 
 use crate::command::Command;
 use crate::data::Data;
@@ -12,23 +12,24 @@ use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::{Failure, Master, Patience, StopKind, Ticket, TicketId};
 use crate::time::Duration;
 
-/// No reply comes sooner than that.
+/// No reply comes sooner than this.
 pub(super) const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 
-/// Who wants it.
+/// What a request is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// The caller, who has a ticket for it.
+    /// A caller, who has a ticket for it.
     Caller,
-    /// The caller, but it is not sent again: nobody waits for it any more, or it moves and all were told to end their
-    /// motion since, or its motor has restarted.
+    /// A caller, but it is not sent again: the caller no longer waits for it, or it moves and all were told to end
+    /// their motion since, or its motor has restarted.
     Once,
-    /// A stop: before everything else, whatever is in flight.
+    /// A stop: sent before everything else, whatever is in flight.
     Stop,
-    /// A stop like one that came to its end, with nothing sent since that a stop would refuse. On a line every second
-    /// turn is somebody else's; on CAN it waits for whom was sent no more and may be waiting for its turn.
+    /// A repeated stop: the one before it is over, and nothing was sent since that a stop would refuse. On RS485 every
+    /// second turn goes to others. On CAN it waits for motors that were sent no more than its own and may be waiting to
+    /// answer.
     StopCalledAgain,
-    /// A stop that was given up and goes once more.
+    /// A stop that was given up and is sent once more.
     StopAgain,
 }
 
@@ -38,25 +39,26 @@ pub(super) struct Asked {
     pub(super) question: Question,
     pub(super) data: Data,
     pub(super) purpose: Purpose,
-    /// How long a reply is waited for.
+    /// How long to wait for a reply.
     pub(super) timeout: Duration,
     /// How often it may still be sent.
     pub(super) attempts_left: u8,
-    /// How often it was sent without a reply that came.
+    /// How many of its sendings were not answered.
     pub(super) unanswered: u8,
     pub(super) proof: Proof,
 }
 
-/// How far it is shown that motion has ended: what ends it may have to be answered twice.
+/// How far it is proven that motion has ended: what ends it may have to be answered twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Proof {
-    /// It was not answered.
+    /// No answer yet.
     First,
-    /// Perhaps it was not: its answers may be owed to earlier ones. It waits until nothing is owed any more.
+    /// No certain answer: those that came may belong to earlier commands. It waits until none of these can come any
+    /// more.
     WaitsForOwed,
-    /// It was, but something that was sent before it may still move the motor: it waits until that is over.
+    /// Answered, but something sent before may still move the motor: it waits until that is over.
     Waits,
-    /// It was, and has been sent once more.
+    /// Answered, and sent once more.
     Second,
 }
 
@@ -65,7 +67,7 @@ impl Proof {
         matches!(self, Self::WaitsForOwed | Self::Waits)
     }
 
-    /// The same when it is sent.
+    /// The same once it is sent.
     pub(super) fn begun(self) -> Self {
         match self {
             Self::First | Self::WaitsForOwed => Self::First,
@@ -96,12 +98,12 @@ impl Asked {
         matches!(self.purpose, Purpose::Stop | Purpose::StopCalledAgain | Purpose::StopAgain)
     }
 
-    /// What its other sendings are of, once one has an answer.
+    /// What its other sendings count as, once one has an answer.
     pub(super) fn of_others(&self) -> Of {
         if self.is_stop() { Of::Nobody } else { Of::RequestAnswered }
     }
 
-    /// Whether this stop was not sent yet, or handed back.
+    /// Whether this stop was not sent yet, or was handed back.
     pub(super) fn was_never_sent(&self) -> bool {
         self.attempts_left == STOP_ATTEMPTS
     }
@@ -129,19 +131,19 @@ impl Asked {
     }
 }
 
-/// How far a request is.
+/// The state of a request.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) enum Request {
     /// There is none.
     #[default]
     None,
-    /// It is to be sent, for the first time or again.
+    /// Waits to be sent, for the first time or again.
     Waiting(Asked),
-    /// It was sent, and its reply is awaited.
+    /// Sent, and waits for its reply.
     InFlight(Asked),
-    /// It was sent and has no reply; to be reported.
+    /// Sent, and has no reply; to be reported.
     Sent(Asked),
-    /// It has failed; to be reported.
+    /// Failed; to be reported.
     Failed(Failure),
 }
 
@@ -150,7 +152,7 @@ impl Request {
         matches!(self, Self::None)
     }
 
-    /// What is to be sent, if it is.
+    /// What is to be sent, if anything.
     pub(super) fn waiting(&self) -> Option<&Asked> {
         match self {
             Self::Waiting(asked) => Some(asked),
@@ -158,7 +160,7 @@ impl Request {
         }
     }
 
-    /// What a reply is awaited to, if one is.
+    /// What waits for its reply, if anything.
     pub(super) fn in_flight(&self) -> Option<&Asked> {
         match self {
             Self::InFlight(asked) => Some(asked),
@@ -166,7 +168,7 @@ impl Request {
         }
     }
 
-    /// What an answer may come to: what is in flight, and a stop whose next sending waits.
+    /// What a reply may answer: what is in flight, or a stop that was sent and waits to be sent again.
     pub(super) fn answerable(&self) -> Option<&Asked> {
         match self {
             Self::InFlight(asked) => Some(asked),
@@ -175,7 +177,7 @@ impl Request {
         }
     }
 
-    /// What is under way: waiting or in flight.
+    /// What is waiting or in flight.
     pub(super) fn under_way(&self) -> Option<&Asked> {
         self.waiting().or(self.in_flight())
     }
@@ -189,17 +191,20 @@ impl Request {
 }
 
 impl<const N: usize> Master<N> {
-    /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience.
+    /// Sends one motor a command and waits for its reply, if it has one, with the time-out and attempts of the
+    /// configuration.
     ///
-    /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting command to
-    /// all that may move it, and its reply counts only once nothing that was sent before it can move the motor any
-    /// more.
+    /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting broadcast that
+    /// may move it. Its reply counts only once nothing that was sent before it can move the motor any more.
     ///
     /// # Errors
-    /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
-    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped, the
-    /// command moves a motor that has [restarted](crate::master::Event::Restarted), or there is no place for one more.
+    /// [`RequestError`] in these cases:
+    ///
+    /// - The command does not go to one motor, or not over this bus.
+    /// - The motor's earlier request is under way, or the motor follows a stream of this kind.
+    /// - The motors were stopped.
+    /// - The command moves a motor that has [restarted](crate::master::Event::Restarted).
+    /// - There is no place for one more motor.
     pub fn request<C: Command>(
         &mut self,
         motor: MotorId,
@@ -208,7 +213,7 @@ impl<const N: usize> Master<N> {
         self.put_request(motor, &command, None)
     }
 
-    /// As [`request`](Self::request), with a patience of its own.
+    /// As [`request`](Self::request), with its own time-out and attempts.
     ///
     /// # Errors
     /// As [`request`](Self::request).
@@ -221,7 +226,7 @@ impl<const N: usize> Master<N> {
         self.put_request(motor, &command, Some(patience))
     }
 
-    /// As [`request`](Self::request), with a patience of its own or the configuration's.
+    /// As [`request`](Self::request), with its own time-out and attempts or those of the configuration.
     pub(crate) fn put_request<C: Command>(
         &mut self,
         motor: MotorId,
@@ -233,7 +238,7 @@ impl<const N: usize> Master<N> {
         Ok(Ticket::new(ticket))
     }
 
-    /// As [`put_request`](Self::put_request), in one piece of code for all types.
+    /// As [`put_request`](Self::put_request), compiled once for all types.
     #[inline(never)]
     fn put(
         &mut self,
@@ -245,7 +250,7 @@ impl<const N: usize> Master<N> {
         self.check(kind, motor.into())?;
         let patience = patience.unwrap_or_else(|| self.config.patience(kind));
         let question = Question::of(kind, &data);
-        // What was offered may be a set-point that this ends.
+        // What was offered may be a set-point that this command ends.
         self.offer = None;
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
         let place = self.place_for(motor)?;
@@ -289,16 +294,15 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
-    /// Nobody waits for the outcome of this request any more. If a stop would refuse it, as it would a move, it must
-    /// not be sent, or sent again, at any later time:
+    /// The caller no longer waits for the outcome of this request. If a stop would refuse the command, as it would a
+    /// move, it must not be sent, or sent again, at any later time:
     ///
-    /// - One that waits fails with [`Failure::Dropped`].
-    /// - One that is on the wire, or lies in a controller's mailbox, is not called back: it is carried out, its answer
-    ///   still comes, and only a [stop](Self::stop) ends what it does. If it is lost or handed back it is not sent
-    ///   once more.
+    /// - If it waits, it fails with [`Failure::Dropped`].
+    /// - If it is on the wire, or in a controller's mailbox, it is not called back. It is carried out, its answer still
+    ///   comes, and only a [stop](Self::stop) ends what it does. If it is lost or handed back, it is not sent again.
     ///
-    /// What reads, writes or ends motion goes on. A request that is over is left alone. The `ask` of the
-    /// [loops](crate::io) withdraws what it asked when it is left.
+    /// Other commands go on, such as reads, writes and those that end motion. A request that is over is left alone.
+    /// When an `ask` of the [loops](crate::io) is dropped, it withdraws its request.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
         self.change(motor, |motor, config| match &mut motor.request {

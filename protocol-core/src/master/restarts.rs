@@ -1,13 +1,13 @@
-//! Motors that have restarted get no moves before the caller knows.
+//! A motor that has restarted gets no moves before the caller knows.
 
 use crate::id::MotorId;
 use crate::master::Master;
 use crate::master::motor::LastSent;
 
 impl<const N: usize> Master<N> {
-    /// The caller has found out that a motor has restarted, by its angle for example, which the master has not: as
-    /// [`Event::Restarted`](crate::master::Event::Restarted), which follows. A motor without a place gets one; without
-    /// room for it nothing can move it.
+    /// The caller has found out that a motor has restarted, for example by its angle, and the master has not. This has
+    /// the effect of [`Event::Restarted`](crate::master::Event::Restarted), which is also reported. A motor without a
+    /// place gets one. If none is left, no command can move it anyway.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
         self.offer = None;
@@ -21,8 +21,8 @@ impl<const N: usize> Master<N> {
         self.motor(motor).is_some_and(|motor| motor.has_restarted)
     }
 
-    /// Takes set-points and moves again for a motor that [has restarted](crate::master::Event::Restarted): the caller
-    /// knows where it is. However long it is silent from then on, it is moved once before it is heard.
+    /// The caller knows where a motor is that [has restarted](crate::master::Event::Restarted): set-points and moves
+    /// for it are accepted again. However long it is silent from then on, one move is sent to it before it is heard.
     pub fn resume(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| {
             motor.has_restarted = false;
@@ -34,7 +34,7 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }
 
-    /// What would move a motor that has restarted does not go by itself.
+    /// Drops a broadcast that would move a motor that has restarted.
     pub(super) fn cancel_move_after_restart(&mut self) {
         if self.broadcast.waits_to_move() && self.has_any_restarted() {
             self.broadcast.cancel();

@@ -3,11 +3,11 @@
 use crate::master::Config;
 use crate::time::Duration;
 
-/// A steady bus may be late by so much all the same: a host has other things to do.
+/// Even on a steady bus a reply may be this late, because a host has other things to do.
 const GRAIN_US: u32 = 2_000;
 
-/// The mean of the round trips of all motors and how far they lie from it, as TCP reckons them
-/// (RFC 6298), and with them the time-outs.
+/// The mean of the round trips of all motors and the deviation from it, calculated as in TCP (RFC 6298), and the
+/// time-outs that follow from them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RoundTrips {
     mean_us: u32,
@@ -17,8 +17,7 @@ pub(super) struct RoundTrips {
 }
 
 impl RoundTrips {
-    /// Nothing was measured yet: the longest time-outs hold. `None` if they are the caller's whatever is
-    /// measured.
+    /// Nothing was measured yet: the longest time-outs apply. `None` if the time-outs do not depend on measurements.
     pub(super) fn new(config: &mut Config) -> Option<Self> {
         if config.longest_reply_timeout <= config.reply_timeout {
             return None;
@@ -33,13 +32,13 @@ impl RoundTrips {
         self.more
     }
 
-    /// A reply came after its time-out: that is too short.
+    /// A reply came after its time-out, which is therefore too short.
     pub(super) fn was_too_short(&mut self, config: &mut Config) {
         self.deviation_us = self.deviation_us.saturating_add(micros(config.reply_timeout) / 4);
         self.follow(config);
     }
 
-    /// A reply came after so long.
+    /// A reply came after this time.
     #[inline(never)]
     pub(super) fn measured(&mut self, round_trip: Duration, config: &mut Config) {
         let round_trip_us = micros(round_trip);
@@ -54,7 +53,7 @@ impl RoundTrips {
         self.follow(config);
     }
 
-    /// Sets the time-outs to what is known.
+    /// Sets the time-outs that follow from what was measured.
     fn follow(&mut self, config: &mut Config) {
         let shortest = config.reply_timeout - self.more;
         let margin = self.deviation_us.saturating_mul(4).max(GRAIN_US);

@@ -21,11 +21,11 @@ pub(super) struct SetPoint {
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Stream {
-    /// To be sent.
+    /// Waits to be sent.
     waiting: Option<SetPoint>,
-    /// Sent, and its feedback is awaited.
+    /// Sent, and waits for its feedback.
     in_flight: Option<SetPoint>,
-    /// When the one that waits is too old; or, without one, when the one in flight would be.
+    /// When the waiting set-point is too old; without one, when the one in flight would be.
     expiry: Instant,
 }
 
@@ -35,7 +35,7 @@ impl Stream {
         self.waiting.as_ref()
     }
 
-    /// The set-point whose feedback is awaited.
+    /// The set-point that waits for its feedback.
     pub(super) fn in_flight(&self) -> Option<&SetPoint> {
         self.in_flight.as_ref()
     }
@@ -44,23 +44,23 @@ impl Stream {
         self.waiting.is_none() && self.in_flight.is_none()
     }
 
-    /// When the set-point that waits is dropped.
+    /// When the waiting set-point is dropped.
     pub(super) fn expiry(&self) -> Option<Instant> {
         self.waiting.map(|_| self.expiry)
     }
 
-    /// Puts a newer set-point in the place of the one that waits, which is given.
+    /// Replaces the waiting set-point with a newer one. Returns the old one.
     pub(super) fn put(&mut self, set_point: SetPoint, expiry: Instant) -> Option<SetPoint> {
         self.expiry = expiry;
         self.waiting.replace(set_point)
     }
 
-    /// The one that waits is not to be sent any more.
+    /// The waiting set-point is not to be sent any more.
     pub(super) fn drop_waiting(&mut self) -> Option<SetPoint> {
         self.waiting.take()
     }
 
-    /// The one that waited was sent.
+    /// The waiting set-point was sent.
     pub(super) fn was_sent(&mut self) {
         self.in_flight = self.waiting.take();
     }
@@ -70,8 +70,7 @@ impl Stream {
         self.in_flight.take()
     }
 
-    /// The one in flight was not sent after all: it waits again, unless a newer one does. Whether it
-    /// does.
+    /// The one in flight was not sent after all: it waits again, unless a newer one does. Returns whether it waits.
     pub(super) fn was_pushed_out(&mut self) -> bool {
         let pushed_out = self.in_flight.take();
         let is_newest = self.waiting.is_none();
@@ -89,13 +88,12 @@ impl Stream {
 }
 
 impl<const N: usize> Master<N> {
-    /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
-    /// queued up; one that waits for longer than
-    /// [`Config::set_point_max_age`](crate::master::Config::set_point_max_age) is dropped.
+    /// Puts a set-point in a motor's stream. A set-point that still waits is replaced and counted, never queued. One
+    /// that waits for longer than [`Config::set_point_max_age`](crate::master::Config::set_point_max_age) is dropped.
     ///
-    /// That nobody answers is an event each time ([`SetPointUnanswered`](crate::master::Event::SetPointUnanswered)), and
-    /// never an error where the motor was never heard, such as a wrong id: see when its
-    /// [feedback](Self::latest_feedback) came last.
+    /// Each set-point without an answer is reported as an event
+    /// ([`SetPointUnanswered`](crate::master::Event::SetPointUnanswered)). It is never an error, even if the motor was
+    /// never heard, for example because of a wrong id: see when its [feedback](Self::latest_feedback) came last.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
@@ -118,7 +116,7 @@ impl<const N: usize> Master<N> {
         }
         let set_point = SetPoint { question: Question::of(kind, &data), data };
         let expiry = now + self.config.set_point_max_age;
-        // What was offered is older than this.
+        // What was offered is older than this set-point.
         self.offer = None;
         self.due = self.due.min(expiry);
         let pace = self.pace;
@@ -138,8 +136,8 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
     }
 
-    /// Nobody waits for the feedback of a motor's newest set-point any more: it is not sent if it waits, nor again if it
-    /// is handed back.
+    /// The caller no longer waits for the feedback of a motor's newest set-point: it is not sent if it waits, nor again
+    /// if it is handed back.
     pub(crate) fn withdraw_set_point(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| {
             motor.drop_waiting_set_point();
@@ -154,7 +152,7 @@ impl<const N: usize> Master<N> {
         self.motor(motor).is_some_and(|motor| motor.is_newest_dropped)
     }
 
-    /// Whether a motor's newest set-point is still to be sent, or to be answered.
+    /// Whether a motor's newest set-point still waits to be sent or answered.
     pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
         self.motor(motor).is_some_and(|motor| !motor.stream.is_none())
     }
