@@ -1,12 +1,12 @@
-//! Replies to commands that were given up, or that a stop went over: they may still come.
+//! Replies that may still come to commands that were given up, or whose place a stop took.
 
 use crate::data::Data;
 use crate::kind::Kind;
 use crate::packet::Packet;
 use crate::time::Instant;
 
-/// What tells the replies to one command from those to another: its kind and, where the kind has one,
-/// its key byte. Nothing in a reply says which of two equal commands it answers.
+/// What tells the replies to one command from those to another: its kind and, if the kind has one, its key byte. A
+/// reply does not say which of two equal commands it answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Question {
     pub(super) kind: Kind,
@@ -14,18 +14,18 @@ pub(super) struct Question {
 }
 
 impl Question {
-    /// What this command asks. Inlined, since the kind of a set-point is known when it is compiled.
+    /// What this command asks. Inlined, since the kind of a set-point is known at compile time.
     #[inline(always)]
     pub(super) fn of(kind: Kind, command: &Data) -> Self {
         Self { kind, key: kind.key(command).unwrap_or(0) }
     }
 
-    /// What every command of this kind asks, where it has no key byte.
+    /// What every command of this kind asks, if the kind has no key byte.
     pub(super) const fn without_key(kind: Kind) -> Self {
         Self { kind, key: 0 }
     }
 
-    /// Whether this can be a reply to it; or, of a command that was never sent, whether it asks this.
+    /// Whether this can be a reply to it; or, for a command that was handed back, whether it asks this.
     pub(super) fn is_answered_by(self, reply: &Packet) -> bool {
         if reply.is_motion() {
             return self.kind.is_motion();
@@ -35,23 +35,23 @@ impl Question {
     }
 }
 
-/// Whether a request or a set-point of a stream was given up.
+/// What the replies belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     /// Its time was up, and it counted as lost.
     Request,
-    /// A stop went over it: it counted as nothing.
+    /// A stop took its place: it counted as nothing.
     RequestStopped,
-    /// A stop that is confirmed by the answer to another of its sendings, one to all that tells the motor nothing
-    /// new, or a read of the status for the transport. It counts as nothing.
+    /// Counts as nothing: a stop that was confirmed by the answer to another of its sendings, a stop to all that tells
+    /// the motor nothing new, or a read of the status for the transport.
     Nobody,
-    /// An attempt of a request that has its answer by another: it counted as lost.
+    /// A further attempt of a request that was answered: it counted as lost.
     RequestAnswered,
     /// Its time was up, and it counted as lost.
     Stream,
-    /// A stop went over it: it counted as nothing.
+    /// A stop took its place: it counted as nothing.
     StreamStopped,
-    /// One of a stream that counted as lost, and a reply has come since that was taken for that to the next.
+    /// A set-point that counted as lost. A reply came since, which was taken for that to the next one.
     StreamAnswered,
 }
 
@@ -60,9 +60,9 @@ pub(super) enum Of {
 struct Late {
     question: Question,
     of: Of,
-    /// So many at the most.
+    /// At most this many.
     replies: u8,
-    /// Not after this.
+    /// Not after this time.
     until: Instant,
 }
 
@@ -72,11 +72,10 @@ impl Late {
     }
 }
 
-/// How many questions of one motor may have late replies. More are never asked: see
-/// [`has_room`](LateReplies::has_room).
+/// How many questions of one motor may have late replies. No more are asked: see [`has_room`](LateReplies::has_room).
 const QUESTIONS: usize = 3;
-/// More replies to one question are not waited for: answers that come together count as one, and each sending of a stop
-/// prolongs for how long they are.
+/// At most this many replies to one question are expected. Answers that come together count as one, and each sending of
+/// a stop prolongs the wait for them.
 const MOST_REPLIES: u8 = 2 * crate::master::stop::STOP_ATTEMPTS;
 
 /// The late replies that may still come from one motor.
@@ -84,8 +83,8 @@ const MOST_REPLIES: u8 = 2 * crate::master::stop::STOP_ATTEMPTS;
 pub(super) struct LateReplies([Option<Late>; QUESTIONS]);
 
 impl LateReplies {
-    /// So many replies to this question may come until then. Whether one made way for that whose command may
-    /// yet move the motor.
+    /// This many replies to this question may come until `until`. Returns whether an entry made way whose command may
+    /// still move the motor.
     pub(super) fn expect(
         &mut self,
         question: Question,
@@ -99,8 +98,8 @@ impl LateReplies {
             late.until = late.until.max(until);
             return false;
         }
-        // Without room, which only stops bring about, the one that ends first makes way, but none that may yet
-        // move the motor if there is another: its reply tells that it has come.
+        // There is no room, which only stops cause. The entry that ends first makes way, if possible none that may
+        // still move the motor: its reply shows that the command has arrived.
         let is_worth = |late: &Option<Late>| late.map(|it| (it.may_move(), it.until));
         let least = self.0.iter_mut().min_by_key(|place| is_worth(place));
         let late = Late { question, of, replies: replies.min(MOST_REPLIES), until };
@@ -111,7 +110,7 @@ impl LateReplies {
         self.0.iter_mut().flatten().find(|late| late.question == question)
     }
 
-    /// So many fewer replies may come to the first of these questions. Gives what they are of.
+    /// This many fewer replies may come to the first question that matches. Returns what they belong to.
     fn expect_fewer(
         &mut self,
         replies: u8,
@@ -139,26 +138,27 @@ impl LateReplies {
         self.end_of(question).is_some()
     }
 
-    /// Whether a command is among them that may move the motor: it may not have reached it yet.
+    /// Whether any of the commands may still reach the motor and move it.
     pub(super) fn may_move(&self) -> bool {
         self.0.iter().flatten().any(Late::may_move)
     }
 
-    /// Something else was answered by what may have been one of these: whose reply is still to come
-    /// nobody knows, so it may come for as long as that of the last. Whether there is such a one.
+    /// A reply that may have been one of these was taken for the answer to another command. Which reply is still to
+    /// come is not known, so one is expected for as long as that to the last command. Returns whether there is such an
+    /// entry.
     pub(super) fn prolong(&mut self, question: Question, until: Instant) -> bool {
         let Some(late) = self.of(question) else { return false };
         (late.until, late.of) = (late.until.max(until), Of::StreamAnswered);
         true
     }
 
-    /// Takes a reply that is one of these, and gives what it is of and what it answers. One that may be the last one
-    /// once more is none of these for sure: they are still expected then.
+    /// Takes a reply that is one of these. Returns what it belongs to and what it answers. If it may be the last reply
+    /// doubled, all are still expected.
     pub(super) fn take(&mut self, reply: &Packet, may_be_doubled: bool) -> Option<(Of, Question)> {
         self.expect_fewer(u8::from(!may_be_doubled), |asked| asked.is_answered_by(reply))
     }
 
-    /// Forgets what cannot come any more. Whether a command that may move the motor was among it.
+    /// Removes what can no longer come. Returns whether a command that may move the motor was among it.
     pub(super) fn expire(&mut self, now: Instant) -> bool {
         let mut could_move = false;
         for place in &mut self.0 {
@@ -169,24 +169,24 @@ impl LateReplies {
         could_move
     }
 
-    /// Nothing came while the bus was down: none of these ends before then.
+    /// Nothing came while the bus was down: all of these are expected until then at least.
     pub(super) fn extend(&mut self, until: Instant) {
         for late in self.0.iter_mut().flatten() {
             late.until = late.until.max(until);
         }
     }
 
-    /// When the next of these cannot come any more.
+    /// When the next of these can no longer come.
     pub(super) fn next_end(&self) -> Option<Instant> {
         self.0.iter().flatten().map(|late| late.until).min()
     }
 
-    /// So many of these are no longer late: what they answer goes on.
+    /// This many of these are no longer late: the command that they answer goes on.
     pub(super) fn withdraw(&mut self, question: Question, replies: u8) {
         let _ = self.expect_fewer(replies, |asked| asked == question);
     }
 
-    /// When replies to this question cannot come any more.
+    /// When replies to this question can no longer come.
     pub(super) fn end_of(&self, question: Question) -> Option<Instant> {
         let mut all = self.0.iter().flatten();
         all.find(|late| late.question == question).map(|late| late.until)

@@ -1,24 +1,25 @@
-//! Until when something that was sent may still reach a drive, though nobody waits for it.
+//! Until when something that was sent may still reach a drive, although nothing waits for it.
 
 use crate::master::Config;
 use crate::time::Instant;
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) enum OnItsWay {
-    /// It has, or never will.
+    /// It has arrived, or never will.
     #[default]
     No,
-    /// The bus is whole: not after this.
+    /// The bus is intact: it arrives by then, or never.
     Until(Instant),
-    /// Not after this on a whole bus. But nothing was heard since, apart from what was on its way to us: the bus may
-    /// be cut, and this in a mailbox for as long as that lasts.
+    /// On an intact bus it arrives by then, or never. But nothing was heard since, except for what was already on its
+    /// way to us. The bus may be cut, and this may stay in a mailbox for as long as that lasts.
     WhileCut(Instant),
-    /// It was over then by time alone. If the bus was cut meanwhile, it lies in a mailbox yet: until something is heard.
+    /// Over since then, by time alone. If the bus was cut meanwhile, this may still be in a mailbox, until something is
+    /// heard.
     OverByTime(Instant),
 }
 
 impl OnItsWay {
-    /// Something more may come until then; where the bus may be cut, for as long as it is.
+    /// Something more may arrive until then, or, if the bus may be cut, for as long as it is.
     #[inline(never)]
     pub(super) fn put(&mut self, until: Instant, may_be_cut: bool) {
         let until = self.end_on_whole_bus().map_or(until, |at| at.max(until));
@@ -45,22 +46,22 @@ impl OnItsWay {
         }
     }
 
-    /// The bus carries nothing: it comes later.
+    /// The bus carries nothing: it arrives later.
     pub(super) fn extend(&mut self, until: Instant) {
         if let Self::Until(at) | Self::WhileCut(at) = self {
             *at = until.max(*at);
         }
     }
 
-    /// The bus is whole: if it lay in a mailbox all the time, it comes now.
+    /// The bus is intact: if it was still in a mailbox, it leaves that now.
     pub(super) fn note_bus_alive(&mut self, now: Instant, config: &Config) {
         if let Self::WhileCut(at) = *self {
             *self = Self::Until(at.max(now + config.late_window));
         }
     }
 
-    /// Takes note of the time. Something was last heard at `heard_at`: what was on its way to us before the bus was
-    /// cut is heard within the usual time-out.
+    /// Takes note of the time. Something was last heard at `heard_at`. What was on its way to us before a cut is heard
+    /// within the usual time-out.
     #[inline(never)]
     pub(super) fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
         if self.end_on_whole_bus().is_some_and(|end| heard_at + config.late_window >= end) {
@@ -74,7 +75,7 @@ impl OnItsWay {
         }
     }
 
-    /// The drive has answered what ends its motion: nothing from before comes any more.
+    /// The drive has answered what ends its motion: nothing from before arrives any more.
     pub(super) fn finish(&mut self) {
         *self = Self::No;
     }

@@ -1,5 +1,4 @@
-//! Which motor has which place, and what each place is about: so that nobody has to look at all of
-//! them to find one.
+//! Which motor has which place, and sets of places by their state, so that no search has to look at all motors.
 
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -58,13 +57,13 @@ pub(super) struct Places {
     of: [u8; MotorId::COUNT],
     /// Those that belong to a motor.
     pub(super) taken: PlaceSet,
-    /// Those with something to be sent.
+    /// Those with something to send.
     pub(super) waiting: PlaceSet,
-    /// Those of them with a stop.
+    /// Those of them with a stop to send.
     pub(super) stops: PlaceSet,
     /// Those with something in flight.
     pub(super) in_flight: PlaceSet,
-    /// Those with something to be reported.
+    /// Those with something to report.
     pub(super) news: PlaceSet,
 }
 
@@ -95,7 +94,7 @@ impl Places {
         self.taken.set(place, true);
     }
 
-    /// The motor has no place any more.
+    /// The motor no longer has a place.
     pub(super) fn clear(&mut self, place: usize, motor: MotorId) {
         if let Some(of) = self.of.get_mut(motor.index()) {
             *of = NOBODY;
@@ -103,7 +102,7 @@ impl Places {
         self.taken.set(place, false);
     }
 
-    /// Changes the motor with this place: the only way to do it while it has that.
+    /// Changes the motor at this place. A motor that has a place is changed in no other way.
     #[inline]
     pub(super) fn change<R>(
         &mut self,
@@ -117,7 +116,7 @@ impl Places {
         Some(result)
     }
 
-    /// Something of the motor with this place has changed.
+    /// Updates the sets after the motor at this place has changed.
     #[inline(never)]
     fn note(&mut self, place: usize, motor: &Motor) {
         self.waiting.set(place, motor.is_waiting());
@@ -133,14 +132,14 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
     }
 
-    /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
-    /// nothing changes, while it has a request or a set-point under way or an event that was not
-    /// polled, or while something that was sent to it or to all and not answered may move it yet, out of a mailbox for
-    /// example.
+    /// Gives up a motor's place and counters, so that another motor can have the place. Returns `false`, and changes
+    /// nothing, in these cases:
     ///
-    /// No stop of all and no guard reaches it from then on, so see it stopped first. A late reply that may still come
-    /// is no longer guarded against: leave the motor alone for
-    /// [`Config::late_window`] after a request that was not answered.
+    /// - It has a request or a set-point under way, or an event that was not polled.
+    /// - Something that was sent to it or to all, and not answered, may still move it, for example from a mailbox.
+    ///
+    /// From then on no stop of all and no guard reaches it, so see it stopped first. Its late replies are no longer
+    /// recognized: after a request that was not answered, send it nothing for [`Config::late_window`].
     pub fn forget(&mut self, motor: MotorId) -> bool {
         let now = self.now;
         let Some(place) = self.places.of(motor) else { return false };
@@ -148,7 +147,7 @@ impl<const N: usize> Master<N> {
             && !self.broadcast.may_yet_move(motor);
         if is_idle {
             self.let_line_answer();
-            // What goes to all is for it, too, and not left out as called again.
+            // A stop to all is also for this motor, and must not be left out as a repetition.
             self.stop_to_all_was = None;
             self.change_at(place, |motor, _| *motor = Motor::default());
             self.places.clear(place, motor);
@@ -156,30 +155,31 @@ impl<const N: usize> Master<N> {
         is_idle
     }
 
-    /// The place of a motor; for one that has none, a free one.
+    /// The place of a motor, or a free one if it has none.
     #[inline]
     pub(super) fn place_for(&mut self, motor: MotorId) -> Result<usize, RequestError> {
         let place = self.places.of(motor).or_else(|| self.give_place(motor));
         place.ok_or(RequestError::TooManyMotors { capacity: N })
     }
 
-    /// These motors are there: a stop of all is for them. Where there is no place for all of them, one goes to all.
+    /// These motors were found: a stop of all is also for them. If there is no place for all of them, one stop goes to
+    /// all.
     pub(crate) fn note_found(&mut self, motors: MotorSet) {
         if self.give_places(motors).is_err() {
             self.broadcast.may_be_unnamed = true;
-            // As above.
+            // As in `forget`.
             self.stop_to_all_was = None;
         }
     }
 
-    /// Gives each of these motors a place, or, where there is none for all, none of them one.
+    /// Gives each of these motors a place, or none of them if there is no place for all.
     #[inline(never)]
     pub(super) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
         self.has_places_for(motors)?;
         motors.iter().try_for_each(|motor| self.place_for(motor).map(|_| ()))
     }
 
-    /// Whether there is one for each of these.
+    /// Whether there is a place for each of these motors.
     pub(crate) fn has_places_for(&self, motors: MotorSet) -> Result<(), RequestError> {
         if self.motors().with(motors).len() > N {
             return Err(RequestError::TooManyMotors { capacity: N });

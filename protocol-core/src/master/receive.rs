@@ -15,8 +15,8 @@ use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 
 impl<const N: usize> Master<N> {
-    /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a
-    /// wrong length complete nothing.
+    /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a wrong length answer
+    /// nothing.
     pub fn handle_frame(&mut self, frame: &can::Received, now: Instant) -> Option<Event> {
         self.frame_has_come(now);
         match frame {
@@ -32,12 +32,11 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Takes a reply from the RS485 line. What the adapter hands back of one's own bytes is none: see
-    /// [`EchoFilter`](crate::io::EchoFilter).
+    /// Takes a reply from the RS485 line, but no echo: see [`EchoFilter`](crate::io::EchoFilter).
     pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
         let before = self.busy_until;
         self.free_line_after_turnaround(now);
-        // Whoever fills the line holds nobody up who could go without that.
+        // Frames that nobody asked for do not hold up a command that is due.
         let is_due = match self.choose_interruption() {
             Some((at, _)) => at <= now,
             None => !self.is_anything_in_flight() && self.choose(now).is_some(),
@@ -48,19 +47,19 @@ impl<const N: usize> Master<N> {
         self.handle_packet(&frame.as_reply()?, now)
     }
 
-    /// When something was last heard on the bus, and earlier by as much as the late window has grown: what was sent
-    /// may have been given less time.
+    /// When something was last heard on the bus, minus the time by which the late window has grown: what was sent may
+    /// have been given less time.
     pub(super) fn heard_at_least(&self) -> Instant {
         let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
         Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
     }
 
-    /// A frame on its way to us held up those that are queued.
+    /// A frame that comes to us has held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
         self.heard_at = now;
         if self.busy_until > now {
-            // What is queued is not answered. Without that bound a bus that is always full would seem busy
-            // for ever longer, since frames are shorter than they may be.
+            // Only commands that are not answered can be queued. Without this bound a bus that is always full would
+            // seem busy for longer and longer, since frames are shorter than assumed.
             let queued = self.config.frame_time.times(self.places.in_flight.count());
             self.busy_until = (self.busy_until + self.config.frame_time).min(now + queued);
         } else {
@@ -123,7 +122,7 @@ impl<const N: usize> Master<N> {
             }
             Meaning::Nothing => None,
             Meaning::OnceMore => {
-                // No move to all goes between the attempts of that, either.
+                // No broadcast that moves goes between these attempts either.
                 self.broadcast.note_answer_of(id, now, &self.config);
                 None
             }
@@ -141,7 +140,7 @@ impl<const N: usize> Master<N> {
         if let (Some(trips), Some(round_trip)) = (&mut self.round_trips, round_trip) {
             let before = self.config.reply_timeout;
             trips.measured(round_trip, &mut self.config);
-            // What else is in flight may be late sooner than it was.
+            // What else is in flight may now be late sooner.
             if self.config.reply_timeout < before {
                 self.due = self.now;
             }
@@ -151,7 +150,7 @@ impl<const N: usize> Master<N> {
     /// Whether this reply of `motor` answers the broadcast.
     fn answers_broadcast(&mut self, motor: MotorId, packet: &Packet) -> bool {
         let data = &packet.data;
-        // What a drive has ignored that has lost its master is no answer.
+        // If a drive that has lost its master has ignored the command, its reply is no answer.
         let (kind, command) = self.broadcast.command();
         let is_echo = self.broadcast.may_be_mistaken(data[0], motor) && command == *data;
         let is_handed_back = kind.is_some_and(|kind| kind.is_handed_back(data));
@@ -164,11 +163,11 @@ impl<const N: usize> Master<N> {
         let shortest = self.config.shortest_response;
         let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
         let Some(is_answer) = taken else { return false };
-        // Answered it has left its mailbox, also on a bus that is never quiet.
+        // A broadcast that was answered has left its mailbox, also on a bus that is never quiet.
         if is_answer && self.for_all.may_lie() && self.broadcast.sent_at() == self.told_all_at() {
             self.for_all = ForAll::Gone;
         }
-        // Also of one that is over: the same once more answers nothing else.
+        // Also for a broadcast that is over: the same reply, doubled, answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
         let asked = asked.or(self.broadcast.question());
         self.change(motor, |motor, _| {
@@ -180,7 +179,7 @@ impl<const N: usize> Master<N> {
         is_answer
     }
 
-    /// An answer to the broadcast, a report, or anything else that nobody waits for.
+    /// An answer to the broadcast, a report, or anything else that nothing waits for.
     fn handle_unasked(&mut self, id: MotorId, packet: &Packet, is_doubled: bool) -> Event {
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if packet.is_motion() {
@@ -195,7 +194,7 @@ impl<const N: usize> Master<N> {
         let bit = Opcode::from_byte(packet.data[0]).map_or(0, reported_bit);
         let is_report = match (self.motor(id), &reply) {
             _ if has_errors(&reply) => true,
-            // That there are none is reported without having been asked for, too (function 3).
+            // A status without errors is also reported unasked (function 3).
             (Some(_), AnyReply::ReadStatus1(_)) => {
                 !self.broadcast.may_be_mistaken(packet.data[0], id)
             }
@@ -205,7 +204,7 @@ impl<const N: usize> Master<N> {
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
     }
 
-    /// An answer has come too late. If it says that the motor has errors, it may be a report of these (function 3).
+    /// An answer has come too late. If it shows errors, it may be a report of them (function 3).
     #[inline(never)]
     fn handle_late(&mut self, motor: MotorId, packet: &Packet) -> Event {
         if let Some(trips) = &mut self.round_trips {

@@ -9,11 +9,11 @@ use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// So many rounds a motor may get ahead of one that may be waiting for its turn to answer, and no more than one where there
-/// are more motors than [`MOST_TWO_AHEAD`].
+/// How many rounds a motor may get ahead of one that may be waiting for its turn to answer. If there are more motors
+/// than [`MOST_TWO_AHEAD`], it is one round.
 pub(super) const LONGEST_LEAD: u32 = 2;
 
-/// Of so many each may send three commands, and answer them, before [`Config::reply_timeout`] is over: 128 frames.
+/// The most motors that can each send three commands, and answer them, within [`Config::reply_timeout`]: 128 frames.
 const MOST_TWO_AHEAD: u32 = 21;
 
 /// The earliest of several points in time.
@@ -41,9 +41,9 @@ impl<const N: usize> Master<N> {
         self.choose_motor(now)
     }
 
-    /// On a line: if all stops that may go, and what was sent before, are called for again, whatever is no stop goes
-    /// first: a broadcast that is due, then whoever was sent nothing for longest. A caller may stop a motor in every
-    /// cycle, and would keep everybody else off the line. Rounds say little here: the stops are ahead.
+    /// RS485: if all stops that may go, and the last frame sent, are repeated stops, something else goes first: a
+    /// broadcast that is due, or the motor that was sent nothing for longest. Otherwise a caller that stops a motor in
+    /// every cycle would keep all others off the line. Rounds do not help here: the stops are ahead.
     #[inline(never)]
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
         let is_again = |(_, motor): (_, &Motor)| motor.is_stop_called_again();
@@ -64,7 +64,7 @@ impl<const N: usize> Master<N> {
         ready.min_by_key(|&(sent, _)| sent).map_or(stop, |(_, offer)| offer)
     }
 
-    /// The one to all, then the most urgent of those of one motor.
+    /// The stop to all, then the most urgent stop of one motor.
     pub(super) fn choose_stop(&self) -> Option<Offer> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
@@ -75,8 +75,9 @@ impl<const N: usize> Master<N> {
         self.most_urgent_stop()
     }
 
-    /// Each motor's first stop before any second, and on a line those first that were heard last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
+    /// Each motor's first stop goes before any second. On RS485 motors that were heard last time come first, since a
+    /// motor that is not there occupies the line for the time-out of a stop. Among equals, the motor that was sent
+    /// nothing for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
@@ -98,9 +99,9 @@ impl<const N: usize> Master<N> {
         })
     }
 
-    /// On CAN: whether a motor that is stopped again waits, for a broadcast, or since it was sent as much as another one, or
-    /// more, that may be waiting for its turn to answer, or to be told: who is stopped in every cycle would fill the bus,
-    /// or have the broadcast, or the other's stop, handed back again and again.
+    /// CAN: whether a repeated stop of this motor waits. It waits for a command to all, and for motors that were sent
+    /// no more than this one and may be waiting to answer. Otherwise a caller that stops it in every cycle would fill
+    /// the bus, or the broadcast or another motor's stop would be handed back again and again.
     fn gives_way(&self, motor: &Motor) -> bool {
         if self.config.is_rs485() {
             return false;
@@ -112,26 +113,26 @@ impl<const N: usize> Master<N> {
             || self.broadcast.is_waiting() && !self.has_given_way(motor) && self.broadcast_may_go()
     }
 
-    /// Whether all were told something since this motor was.
+    /// Whether a command to all was sent after this motor's last.
     fn has_given_way(&self, motor: &Motor) -> bool {
         motor.sent < self.told_all_at()
     }
 
-    /// On CAN: whether a stop that is called again has given way to the last command to all, and goes before the next.
+    /// CAN: whether a repeated stop has given way to the last command to all, and so goes before the next.
     fn is_stops_turn(&self) -> bool {
         let mut stops = self.at(self.places.stops);
         !self.config.is_rs485()
             && stops.any(|(_, motor)| motor.is_stop_called_again() && self.has_given_way(motor))
     }
 
-    /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
+    /// RS485: a stop, and from when it no longer waits for the exchange under way, whatever the time-out of that.
     pub(super) fn choose_interruption(&self) -> Option<(Instant, Offer)> {
         let in_flight_since = self.in_flight_since()?;
         let stop = self.choose_stop()?;
         Some((in_flight_since + LONGEST_STOP_TIMEOUT, stop))
     }
 
-    /// Of the motor that was served least of those that have something to be sent now, and no stop.
+    /// Of the motors that have something to send now, and no stop, the one that was served least.
     fn choose_motor(&self, now: Instant) -> Option<Offer> {
         let is_held_back = self.for_all == ForAll::LiesAgain;
         let ready = self.places.waiting.without(self.places.in_flight).without(self.places.stops);
@@ -149,7 +150,7 @@ impl<const N: usize> Master<N> {
         (!all.any(|(_, motor)| motor.is_waited_for(behind))).then_some(offer)
     }
 
-    /// What may go of this motor: where both may, its set-point and its request in turn.
+    /// What may go of this motor. If both may, its set-point and its request alternate.
     #[inline]
     fn next_of(&self, place: usize, motor: &Motor) -> Option<Offer> {
         let (set_point, request) = (Offer::SetPoint(place as u8), Offer::Request(place as u8));
@@ -170,9 +171,9 @@ impl<const N: usize> Master<N> {
     /// Whether a motor's request could be sent now.
     #[inline(never)]
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
-        // None goes while a broadcast is in flight. Not until it is told that it is over: who then begins the next one at
-        // once would keep them back for ever. One that waits lets what was asked before it go, attempts of what has begun,
-        // and what ends motion: it waits for their end.
+        // No request goes while a broadcast is in flight. Once it is over they go, even before that is reported: a
+        // caller that then begins the next one at once would keep them back for ever. While a broadcast waits, what
+        // ends motion, requests that were put before it and further attempts go first, and it waits for them.
         let is_first =
             asked.unanswered > 0 || self.broadcast.is_after(motor.ticket) || asked.ends_motion();
         motor.may_send_request(asked, self.is_undone_with_all(motor))
@@ -181,36 +182,37 @@ impl<const N: usize> Master<N> {
             && !self.is_confusable(motor)
     }
 
-    /// Whether a command to all may still reach a motor and undo its request, for a time that is known.
+    /// Whether a command to all may still reach a motor and undo its request, if it is known when that ends.
     fn is_undone_with_all(&self, motor: &Motor) -> bool {
         let asked = motor.id.zip(motor.request.waiting());
         asked.is_some_and(|(id, it)| self.broadcast.may_undo_for_a_while(it.kind(), id))
     }
 
-    /// Whether a motor's answer to the last broadcast could be taken for that to its request.
+    /// Whether a motor's answer to the last broadcast could be taken for the answer to its request.
     fn is_confusable(&self, motor: &Motor) -> bool {
         let asked = motor.id.zip(motor.request.waiting());
         asked.is_some_and(|(id, it)| self.broadcast.may_be_mistaken(it.data[0], id))
     }
 
-    /// Whether the broadcast that waits may go: no answer that looks like its own can come from a
-    /// request, nor from the broadcast before it. Nor does one that moves a motor which was heard to have restarted.
+    /// Whether the waiting broadcast may go: no answer that looks like its own can come from a request or from the
+    /// broadcast before it. One that moves does not go while any motor counts as restarted.
     #[inline(never)]
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
-        // What all are told to do now is not undone by what one was told to do before.
+        // What one motor was told before must not undo what all are told now.
         let holds = question.kind == Kind::Known(Opcode::Stop);
         let lets_go = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Shutdown);
         let is_first = |asked: &Asked| {
             let may_move = question.kind.may_move() && asked.ends_motion();
             asked.unanswered > 0 || may_move || holds && lets_go(asked)
         };
-        // Nor is what one is to be told once more, when nothing that all were told can undo it: this would prolong that.
+        // If a command waits to be sent once more until no command to all can undo it, it goes first: the broadcast
+        // would prolong that wait.
         let is_again = |asked: &Asked| asked.proof != Proof::First;
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
-        // Nor is it asked before what one was asked before it. What ends motion goes all the same.
+        // A request that was put before the broadcast goes first, unless the broadcast ends motion.
         let was_asked_before = |motor: &Motor| {
             !question.kind.ends_motion()
                 && self.broadcast.is_after(motor.ticket)
@@ -220,7 +222,7 @@ impl<const N: usize> Master<N> {
                     .waiting()
                     .is_some_and(|it| !it.is_stop() && self.request_may_go(motor, it))
         };
-        // Feedback of a stream of this kind is none of its answers, however long it goes on.
+        // A stream of this kind, however long it goes on, does not keep it back: feedback is not taken for its answer.
         let keeps_back = |motor: &Motor| {
             motor.request.under_way().is_some_and(is_first)
                 || was_asked_before(motor)
@@ -246,10 +248,10 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Notes one more frame on the bus: behind what is queued already, or right now.
+    /// Notes one more frame on the bus: after those that are queued already, or right now.
     pub(super) fn note_bus_busy(&mut self, now: Instant) {
         self.busy_until = self.busy_until.max(now) + self.config.frame_time;
-        // No reply comes between: commands are more urgent than all of these.
+        // No reply comes between these frames: commands win every arbitration against replies.
         if let Some(until) = &mut self.mailboxes_until {
             *until = now.max(*until) + self.config.frame_time;
         }
@@ -262,12 +264,12 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// How many rounds a motor may get ahead now of one that may be waiting for its turn: one fewer for each frame
-    /// beyond the first that may lie in mailboxes, where it would be pushed out.
+    /// How many rounds a motor may now get ahead of one that may be waiting for its turn: one fewer for each frame
+    /// beyond the first that may be in a mailbox, where it could be pushed out.
     #[inline]
     fn lead(&self, now: Instant) -> u32 {
         let frame_time = self.config.frame_time;
-        // To count them costs a small master nothing.
+        // For a small master this count costs nothing.
         let is_many = N as u32 > MOST_TWO_AHEAD && self.places.taken.count() > MOST_TWO_AHEAD;
         match self.mailboxes_until.map_or(Duration::ZERO, |until| until - now) {
             lie if lie <= frame_time && !is_many => LONGEST_LEAD,
@@ -283,25 +285,26 @@ impl<const N: usize> Master<N> {
         times.into_iter().find(|time| *time > Duration::ZERO).map(|time| self.now + time)
     }
 
-    /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
-    /// that were lost look quiet, too, but seldom three in a row.
+    /// When the bus has been quiet for so long that a reply that only waited for the bus must have come. Lost frames
+    /// also look quiet, but seldom three in a row.
     pub(super) fn quiet_at(&self) -> Instant {
         self.busy_until + self.config.frame_time.times(3)
     }
 
-    /// CAN: when what all are told has left its mailbox, where it may lie there yet.
+    /// CAN: when the last command to all has left its mailbox, if it may still be there.
     #[inline]
     pub(super) fn all_are_told_at(&self) -> Option<Instant> {
         let latest = || self.told_all_at() + self.config.reply_timeout;
         self.for_all.may_lie().then(|| self.quiet_at().min(latest()))
     }
 
-    /// When all were told something last, by a broadcast or to stop.
+    /// When the last command to all was sent, a broadcast or a stop.
     pub(super) fn told_all_at(&self) -> Instant {
         self.broadcast.sent_at().max(self.stop_to_all_sent)
     }
 
-    /// When the first reply in flight is due on a quiet bus. On RS485 only one is asked at a time.
+    /// When the first reply in flight is due on a quiet bus. Not used on RS485, where only one motor is asked at a
+    /// time.
     fn reply_is_due(&self) -> Option<Instant> {
         if self.config.is_rs485() {
             return None;
@@ -315,8 +318,8 @@ impl<const N: usize> Master<N> {
         Some((sent + longest_response).max(self.quiet_at().min(sent + reply_timeout)))
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have
-    /// something to do by themselves; `None` while only a frame or a request can change anything.
+    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have something to do
+    /// because of the time; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let mut earliest = Earliest::default();
         for (_, motor) in self.at(self.places.taken) {

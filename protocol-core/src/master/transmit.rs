@@ -1,4 +1,4 @@
-//! What leaves the master, and what becomes of it.
+//! What the master sends, and what becomes of it.
 
 use crate::command::ReadStatus1;
 use crate::id::{MotorId, Target};
@@ -11,32 +11,32 @@ use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
-/// What the transport asks of a motor.
+/// What the transport asks a motor.
 const STATUS: Question = Question::without_key(Kind::Known(Opcode::ReadStatus1));
 
 /// What [`Master::poll_transmit`] has offered last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Offer {
-    /// Of the motor with this place.
+    /// Of the motor at this place.
     Request(u8),
-    /// Of the motor with this place.
+    /// Of the motor at this place.
     SetPoint(u8),
     Broadcast,
     StopToAll,
-    /// A read of the status, for the transport, of the motor with this place.
+    /// A read of the status of the motor at this place, for the transport.
     Status(u8),
 }
 
-/// Where on CAN the last command to all is, as far as is known.
+/// CAN: where the last command to all is, as far as is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ForAll {
-    /// The bus has carried it: it was quiet since.
+    /// The bus has carried it: the bus was quiet since.
     Gone,
-    /// It may lie in a mailbox.
+    /// It may be in a mailbox.
     Lies,
     /// A controller has handed it back.
     HandedBack,
-    /// It may lie in a mailbox once more: nothing but what ends motion is to push it out again.
+    /// It may be in a mailbox once more: only what ends motion may push it out again.
     LiesAgain,
 }
 
@@ -45,12 +45,12 @@ impl ForAll {
         matches!(self, Self::Lies | Self::LiesAgain)
     }
 
-    /// The same when another is put.
+    /// The state when another command to all is put.
     pub(super) fn put_anew(self) -> Self {
         if self == Self::HandedBack { Self::Gone } else { self }
     }
 
-    /// The same when a command to all is sent.
+    /// The state when a command to all is sent.
     fn sent(self) -> Self {
         match self {
             Self::Gone | Self::Lies => Self::Lies,
@@ -60,8 +60,8 @@ impl ForAll {
 }
 
 impl<const N: usize> Master<N> {
-    /// What to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted);
-    /// until then each call chooses anew, so that what was offered is never staler than what waits.
+    /// Returns what to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted). Until
+    /// then each call chooses anew, so that what is offered is never older than what waits.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
         self.now = now;
         self.offer = None;
@@ -96,8 +96,8 @@ impl<const N: usize> Master<N> {
         self.motors.get(usize::from(place))
     }
 
-    /// RS485: this motor is asked for its status before what was offered, and nothing else goes until that is answered
-    /// or its time is up. `None` where its late answer could not be told from another, or the caller asks the same.
+    /// RS485: this motor is asked for its status before what was offered. Nothing else goes until it has answered or
+    /// its time is up. `None` if its late answer could not be told from another, or if the caller asks the same.
     pub(crate) fn let_status_go_first(&mut self, motor: MotorId) -> Option<Packet> {
         let place = self.places.of(motor)?;
         let motor = self.motors.get(place)?;
@@ -109,20 +109,19 @@ impl<const N: usize> Master<N> {
         Some(ReadStatus1.packet(motor.id?))
     }
 
-    /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
-    /// last byte has left.
+    /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its last byte was sent.
     ///
-    /// Nothing may be asked of the master between the two: a call that puts or stops something takes the offer
-    /// back, so that a frame which was taken all the same would count as never sent, and be sent again.
+    /// Do not put or stop anything between the two calls. That withdraws the offer: a frame that the bus took all the
+    /// same would count as never sent, and would be sent again.
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };
-        // What the transport asks is nobody's turn.
+        // What the transport asks is no motor's turn.
         if !matches!(offer, Offer::Status(_)) {
             let motor = self.requested_of(offer);
             self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
         }
-        // An answer that nobody waits for may come all the same, and must not meet a command.
+        // An answer may come although nothing waits for it, and must not collide with a command.
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
@@ -132,7 +131,7 @@ impl<const N: usize> Master<N> {
                 });
                 let Some((is_over, round)) = sent.flatten() else { return };
                 self.due = now;
-                // Nobody is put forward by what is called for in every cycle.
+                // A stop that is called for in every cycle does not put the others forward.
                 if !self.was_called_again {
                     self.keep_pace(round);
                 }
@@ -192,7 +191,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Nobody has had more turns than this. A stop of who has rested is no step back.
+    /// No motor has had more turns than the pace says. A stop of a motor that has rested does not set it back.
     #[inline]
     fn keep_pace(&mut self, round: u32) {
         if is_before(self.pace, round) {
@@ -200,9 +199,9 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The bus has handed back a frame that it had taken, because another was more urgent: it was not
-    /// sent. It waits again, unless something newer does. What [`poll_transmit`](Self::poll_transmit) offered last counts
-    /// as taken with that: so it may be said before [`handle_transmitted`](Self::handle_transmitted) or after it.
+    /// The bus has handed back a frame that it had taken, because another was more urgent: it was not sent. It waits
+    /// again, unless something newer does. What [`poll_transmit`](Self::poll_transmit) offered last then counts as
+    /// taken. So this may be called before [`handle_transmitted`](Self::handle_transmitted) or after it.
     pub fn handle_pushed_out(&mut self, packet: &Packet) {
         self.handle_transmitted(self.now);
         self.mailboxes_until.get_or_insert(self.now);
@@ -212,14 +211,14 @@ impl<const N: usize> Master<N> {
                 let now = self.now;
                 self.change(motor, |motor, _| {
                     motor.was_pushed_out(packet);
-                    // It is offered again before anybody looks at the time.
+                    // It may be offered again before the next look at the time.
                     motor.drop_what_is_too_old(now);
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 self.for_all = ForAll::HandedBack;
                 self.stop_to_all_was = None;
-                // A command to all of long ago may have been the same.
+                // An earlier command to all may have been the same.
                 let is_broadcast =
                     !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);
                 let is_newest = is_broadcast && self.broadcast.is_active();
