@@ -1,4 +1,4 @@
-//! What time alone does to a motor: when something is late, too old or over.
+//! What time alone does to a motor: something is late, too old or over.
 
 use crate::master::config::Config;
 use crate::master::event::Failure;
@@ -8,11 +8,11 @@ use crate::master::request::{Proof, Request};
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
 
-/// Feedback that takes so many times longer than usual is lost.
+/// Feedback that takes this many times longer than usual is lost.
 const USUAL_TIMES: u32 = 3;
 
 impl Motor {
-    /// Whether time alone changes anything about it, though nothing is under way.
+    /// Whether time alone changes anything about it, although nothing is under way.
     pub(in crate::master) fn lingers(&self) -> bool {
         self.settled_at > Instant::ZERO || self.may_yet_move() || !self.late.is_empty()
     }
@@ -27,9 +27,9 @@ impl Motor {
         Some(self.sent + timeout)
     }
 
-    /// How long feedback is waited for: on a quiet bus for less long, since a stream does not stand still for
-    /// what is lost. A line with one exchange at a time is quiet. Not where nobody knows how long feedback takes,
-    /// nor when it stays away again and again.
+    /// How long to wait for feedback. The wait is shorter on a quiet bus, since a stream does not stop for what is
+    /// lost; RS485, with one exchange at a time, is always quiet. It is not shorter if the usual round trip is unknown,
+    /// or if feedback fails to come again and again.
     fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip();
         let is_known = usual > Duration::ZERO && !self.is_silent();
@@ -45,8 +45,8 @@ impl Motor {
         }
     }
 
-    /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
-    /// Something was last heard on the bus at `heard_at`.
+    /// Takes note of the time: drops what is too old, and sends again or gives up what is overdue. Something was last
+    /// heard on the bus at `heard_at`.
     pub(in crate::master) fn handle_timeout(
         &mut self,
         now: Instant,
@@ -54,8 +54,8 @@ impl Motor {
         heard_at: Instant,
         config: &Config,
     ) {
-        // What waited only for a quiet bus must have come when it is, or after the usual time-out: a bus that
-        // others keep busy is never quiet.
+        // A reply that only waited for a quiet bus must have come when the bus is quiet, or after the usual time-out: a
+        // bus that others keep busy is never quiet.
         let waited = now - self.sent;
         if waited >= config.longest_response && (is_quiet || waited >= config.reply_timeout) {
             self.last_sent.insert(LastSent::HAD_ITS_CHANCE);
@@ -77,7 +77,7 @@ impl Motor {
         }
         let Request::InFlight(mut asked) = self.request else { return };
         if asked.ends_motion() {
-            // What it answered before a cut says nothing of what lies in a mailbox yet.
+            // An answer from before a cut says nothing about what is still in a mailbox.
             asked.proof = Proof::First;
             self.note_bus_may_be_cut(now, config);
         }
@@ -99,7 +99,7 @@ impl Motor {
         earliest.take(self.late.next_end());
     }
 
-    /// When this motor has something to report or to send by itself.
+    /// When this motor has something to report or to send because of the time.
     pub(in crate::master) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
         self.too_old_at(config, earliest);
         if self.is_waiting() && self.settled_at > Instant::ZERO {

@@ -1,4 +1,4 @@
-//! What was given up: its replies may come late, and until when it may still move the motor.
+//! Commands that were given up: their replies may come late, and they may still move the motor for a while.
 
 use crate::master::config::Config;
 use crate::master::late::{Of, Question};
@@ -13,14 +13,15 @@ impl Motor {
         self.on_its_way.is_any()
     }
 
-    /// What moves, or switches off what is to be held, was sent, and no late reply tells that it has come.
+    /// A command was sent that moves, or that undoes the stop that is told. No late reply will show that it has
+    /// arrived.
     #[inline(never)]
     pub(in crate::master) fn may_move_until(&mut self, until: Instant, config: &Config) {
         self.may_move_until_answered(until, config);
         self.is_beyond_late = true;
     }
 
-    /// What moves was given up.
+    /// A command that moves was given up.
     fn may_move_until_answered(&mut self, until: Instant, config: &Config) {
         if let OnItsWay::No = self.on_its_way {
             self.is_beyond_late = false;
@@ -28,24 +29,24 @@ impl Motor {
         self.on_its_way.put(until, !config.is_rs485());
     }
 
-    /// What ends its motion was not answered: the bus may be cut, and have been all the time.
+    /// What ends its motion was not answered: the bus may be cut, and may have been all the time.
     pub(super) fn note_bus_may_be_cut(&mut self, now: Instant, config: &Config) {
         if self.may_lie_in_mailbox(config) {
             self.may_move_until(now + config.late_window, config);
         }
     }
 
-    /// Whether what was given up is over by time alone, of which a mailbox knows nothing.
+    /// Whether what was given up is over by time alone, so that it may still be in a mailbox.
     pub(in crate::master) fn may_lie_in_mailbox(&self, config: &Config) -> bool {
         matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485()
     }
 
-    /// What looks like one of the late replies may be another: it does not say that what moves has come.
+    /// What looks like a late reply may be another one: it does not show that the move has arrived.
     pub(in crate::master) fn note_late_replies_say_nothing(&mut self) {
         self.is_beyond_late |= self.may_yet_move();
     }
 
-    /// The reply to this question, which was sent so often, may come late.
+    /// Replies to this question may come late, at most this many.
     pub(in crate::master) fn expect_late(
         &mut self,
         question: Question,
@@ -62,7 +63,7 @@ impl Motor {
         }
     }
 
-    /// Takes a reply that may come late, or one whose command was never sent; see
+    /// Takes a reply that may come late, or a command that was handed back; see
     /// [`LateReplies::take`](crate::master::late::LateReplies::take).
     pub(in crate::master) fn take_late(
         &mut self,
@@ -77,7 +78,7 @@ impl Motor {
         Some(of)
     }
 
-    /// Feedback has come that may be that to another set-point, so that the newest may be still to come.
+    /// Feedback has come that may belong to another set-point, so that the reply to the newest may still come.
     pub(in crate::master) fn prolong_late(
         &mut self,
         question: Question,

@@ -30,7 +30,7 @@ use restarts::Position;
 use stopping::{LastStop, Told};
 
 bitflags! {
-    /// What is to be reported of a motor, beside the outcome of its request.
+    /// What to report of a motor, apart from the outcome of its request.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
     pub(super) struct News: u8 {
         /// A set-point was not answered.
@@ -43,38 +43,39 @@ bitflags! {
         const UNCONFIRMED = 1 << 3;
         /// The motor has restarted.
         const RESTARTED = 1 << 4;
-        /// A stop that it has not confirmed goes once more, and took the place of the caller's request.
+        /// A stop that it has not confirmed is sent once more, and took the place of the caller's request.
         const STOPPED_AGAIN = 1 << 5;
     }
 }
 
 bitflags! {
-    /// What is known of the last command that a motor was sent.
+    /// What is known of the last command that was sent to a motor.
     #[derive(Clone, Copy, Debug, Default)]
     pub(super) struct LastSent: u8 {
-        /// It was a set-point, or a request that was handed back: it is a waiting request's turn.
+        /// It was a set-point, or a request that was handed back: a waiting request is next.
         const REQUESTS_TURN = 1 << 0;
-        /// The bus was quiet when its reply was due: that does not wait for the bus, and nobody waits for it.
+        /// The bus was quiet when its reply was due. The reply does not wait for the bus, and the others do not wait
+        /// for it.
         const HAD_ITS_CHANCE = 1 << 1;
-        /// All were told to end their motion since, it has restarted, or nobody waits for its feedback: nothing that moves
-        /// and is older goes again.
+        /// Since then all were told to end their motion, it has restarted, or the caller no longer waits for its
+        /// feedback. Nothing older that moves is sent again.
         const IS_OLD = 1 << 2;
-        /// The drive has said since that it has lost its master: it may have heard this before.
+        /// The drive has said since that it has lost its master: it may have heard this command before.
         const BEFORE_IT_LOST_MASTER = 1 << 3;
-        /// A controller has handed its stop back since it answered, or did not, or whatever it was sent where it is silent:
-        /// that made way for a more urgent frame.
+        /// Since its last answer, or the last that did not come, a controller has handed back its stop, or any frame if
+        /// the motor is silent: the frame made way for a more urgent one.
         const MAKES_WAY = 1 << 4;
-        /// The caller has resumed it since it answered, or did not.
+        /// The caller has resumed it since its last answer, or the last that did not come.
         const IS_RESUMED = 1 << 5;
-        /// What no other command ends.
+        /// What another command does not clear.
         const GOES_ON = Self::MAKES_WAY.bits() | Self::IS_RESUMED.bits();
     }
 }
 
-/// So many rounds a motor may be behind the others that waits for its turn.
+/// How many rounds a motor that waits for its turn may be behind the others.
 const LONGEST_CLAIM: u32 = 4;
 
-/// Whether a round is before another: they wrap.
+/// Whether a round is before another. Rounds wrap.
 pub(super) const fn is_before(round: u32, other: u32) -> bool {
     (round.wrapping_sub(other) as i32) < 0
 }
@@ -83,7 +84,7 @@ pub(super) const fn is_before(round: u32, other: u32) -> bool {
 pub(super) struct Motor {
     pub(super) id: Option<MotorId>,
     pub(super) request: Request,
-    /// Names the request.
+    /// The number of the request's ticket.
     pub(super) ticket: u32,
     pub(super) stream: Stream,
     pub(super) late: LateReplies,
@@ -96,30 +97,30 @@ pub(super) struct Motor {
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
     misses: u8,
-    /// How often in a row it could not be asked, because the bus carried nothing.
+    /// How often in a row it could not be sent a command, because the bus carried nothing.
     unreached: u8,
-    /// Which reports (0xB6) are on, a bit each.
+    /// Which reports (0xB6) are on, one bit each.
     reports: u8,
-    /// The longest interval of these, in 10 ms.
+    /// The longest of their intervals, in 10 ms.
     report_interval: u16,
-    /// How many commands it was sent, put forward to the others' after a rest.
+    /// How many commands it was sent; after a rest, put forward to the count of the others.
     pub(super) round: u32,
     /// When the last command was sent.
     pub(super) sent: Instant,
-    /// The motor restarts, or settles after another command without reply: it gets nothing before.
+    /// The motor restarts, or settles after another command without reply: it is sent nothing before this.
     settled_at: Instant,
-    /// What was given up and may move it yet, or undo the stop that is told to it.
+    /// What was given up and may still move it, or undo the stop that it is told.
     pub(super) on_its_way: OnItsWay,
-    /// Some of it is not among `late`, whose replies then say nothing of it.
+    /// Part of that is not among `late`: late replies say nothing about it.
     is_beyond_late: bool,
-    /// Its drive has started no later than this [step](restarts::steps) of time, as far as is known: it was heard then,
-    /// or has said how long it had run, or it may have been about to restart.
+    /// As far as is known, its drive had started by this [step](restarts::steps) of time: it was heard then, or has
+    /// said how long it had run, or it may have been about to restart.
     started_by: u32,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<(AnyReply, Instant)>,
-    /// Where it was, as it said last just after that was measured, and when it said so.
+    /// Its position when it was last reported just after it was measured, and when that was.
     pub(super) position: Option<Position>,
     pub(super) position_at: Instant,
     pub(super) last_stop: LastStop,
@@ -139,20 +140,20 @@ impl Motor {
         self.request.waiting().is_some_and(Asked::is_stop)
     }
 
-    /// Whether it was not told yet to stop, and may be moving.
+    /// Whether it was not yet told to stop, and may be moving.
     pub(super) fn waits_for_first_stop(&self) -> bool {
         let is_first = |asked: &Asked| asked.purpose == Purpose::Stop && asked.was_never_sent();
         self.told == Told::Nothing && self.request.waiting().is_some_and(is_first)
     }
 
-    /// Whether a stop that is called for again waits.
+    /// Whether a repeated stop waits.
     #[inline(never)]
     pub(super) fn is_stop_called_again(&self) -> bool {
         self.request.waiting().is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
     }
 
-    /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that
-    /// nobody has confirmed, and that goes again and again, is nothing.
+    /// Whether it has nothing under way and nothing to report, and nothing that was sent may still move it. A stop that
+    /// was given up, and is sent again and again, does not count.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
         let goes_again = |asked: &Asked| asked.purpose == Purpose::StopAgain;
         (self.request.is_none() || self.request.under_way().is_some_and(goes_again))
@@ -183,7 +184,7 @@ impl Motor {
         }
     }
 
-    /// Drops what waits and would move it. What was sent and moves it goes no more, whatever becomes of it.
+    /// Drops what waits and would move it. A move that was sent is not sent again, whatever becomes of it.
     fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
         if self.request.waiting().is_some_and(Asked::may_move) {
@@ -197,18 +198,18 @@ impl Motor {
         }
     }
 
-    /// Whether it is behind that round.
+    /// Whether it is behind this round.
     pub(super) fn is_behind(&self, round: u32) -> bool {
         is_before(self.round, round)
     }
 
-    /// Puts it forward after a rest, or a silence, so that it is as far behind the others as they may get ahead of it: what
-    /// it did not ask for then, or did not answer, it has no claim to now. Who waits for its turn, since frames of it were
-    /// handed back for example, keeps a claim, but to a few only: it may be itself what it waits for.
+    /// After a rest or a silence, puts it forward, so that it is only as far behind the others as they may get ahead of
+    /// it: it has no claim to turns that it did not use. A motor that waits for its turn, for example because its
+    /// frames were handed back, keeps a claim, but only to a few turns: it may itself be what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
         let claim = if waits { LONGEST_CLAIM } else { LONGEST_LEAD };
-        // Who was stopped again and again is not as far ahead as that.
+        // A motor that was stopped again and again may be further ahead: it is put back.
         let latest = pace.wrapping_add(LONGEST_LEAD);
         if is_before(latest, self.round) {
             self.round = latest;
@@ -242,19 +243,20 @@ impl Motor {
         })
     }
 
-    /// Whether it did not answer last time.
+    /// Whether it did not answer the last command.
     pub(super) fn was_missed(&self) -> bool {
         self.misses > 0
     }
 
-    /// Whether it did not answer more than once in a row: one answer may be lost.
+    /// Whether it did not answer at least two commands in a row: one answer may be lost.
     pub(super) fn is_silent(&self) -> bool {
         self.misses > 1
     }
 
-    /// Whether its turn to answer, or to be told, is waited for by who has had so many: while it is behind, unless it did
-    /// not answer for the last two times. What has made way once does not for ever, and no answer of who is to end its
-    /// motion loses all arbitrations.
+    /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
+    /// behind, unless it did not answer its last two commands. They do even then if it is to end its motion: its answer
+    /// must not lose every arbitration. And they do if its frame made way for another, so that this does not happen for
+    /// ever.
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
@@ -263,7 +265,7 @@ impl Motor {
         (makes_way || self.is_behind(round) && may_answer()) && !self.had_its_chance()
     }
 
-    /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
+    /// Whether it did not answer the last time, and nothing was heard of it since the last command.
     pub(super) fn seems_dead(&self) -> bool {
         self.was_missed() && self.health.last_seen().is_none_or(|seen| seen < self.sent)
     }
@@ -275,21 +277,22 @@ impl Motor {
             && !self.waits_for_motion(asked, is_moved_with_all)
     }
 
-    /// Whether this is to end motion once more and waits: until no answer to its earlier attempts can be taken for that to
-    /// the last, and, where it was answered for sure, until nothing that was sent before can move the motor any more.
+    /// Whether this is to end motion once more and has to wait: until no answer to an earlier attempt can be taken for
+    /// that to the last, and, if it was certainly answered, until nothing that was sent before can move the motor any
+    /// more.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         let moves = || asked.proof == Proof::Waits && (is_moved_with_all || self.may_yet_move());
         asked.proof.waits() && (moves() || self.late.may_be_mistaken(asked.question))
     }
 
-    /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
-    /// often it has to be sent.
+    /// Whether the waiting set-point may go. What ends motion was requested before it, and goes first however often it
+    /// is sent.
     #[inline]
     pub(super) fn may_send_set_point(&self) -> bool {
         self.stream.waiting().is_some() && self.late.has_room() && !self.waits_to_end_motion()
     }
 
-    /// Whether a request that ends its motion is to be sent.
+    /// Whether a request that ends its motion waits to be sent.
     #[inline]
     pub(super) fn waits_to_end_motion(&self) -> bool {
         self.request.waiting().is_some_and(Asked::ends_motion)
@@ -320,8 +323,8 @@ impl Motor {
         self.round = self.round.wrapping_add(1);
     }
 
-    /// The waiting request was sent. Gives whether it is over with that: one without a reply keeps everything else
-    /// back for a while.
+    /// The waiting request was sent. Returns whether it is over: one without a reply is, and keeps everything else back
+    /// for a while.
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
@@ -339,7 +342,7 @@ impl Motor {
             self.request = Request::Sent(asked);
             return Some(true);
         }
-        // Only a stop goes over something in flight, which may still be on its way: on a line it waits for that.
+        // Only a stop is sent while something is in flight, which may still arrive. On RS485 it waits for that.
         if asked.is_stop() && !config.is_rs485() {
             self.late.extend(late);
         }
@@ -356,13 +359,13 @@ impl Motor {
         self.told = Told::Nothing;
     }
 
-    /// When what is in flight has had its time. No caller's patience makes that longer than a stop's.
+    /// When what is in flight has had its time. A caller's own time-out does not make this longer than that of a stop.
     pub(super) fn last_chance(&self, now: Instant) -> Instant {
         let timeout = self.request.in_flight().map(|asked| asked.timeout.min(LONGEST_STOP_TIMEOUT));
         timeout.map_or(now, |timeout| now.max(self.sent + timeout))
     }
 
-    /// Replies to the request that is under way come too late from then on.
+    /// Replies to the request under way are too late from then on.
     fn give_request_up(&mut self, of: Of, config: &Config, at: Instant) {
         if let Some(asked) = self.request.under_way() {
             let (question, replies) = (asked.question, asked.unanswered);
@@ -376,7 +379,8 @@ impl Motor {
             (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
-        // One of several sendings is answered, the newest may be yet. A read of old is not worth that wait.
+        // If one of several sendings is answered, the newest may still be answered. For an old read that is not worth a
+        // wait.
         let ends_motion = self.request.under_way().is_some_and(Asked::ends_motion);
         let last_chance = if ends_motion { self.last_chance(now) } else { now };
         self.give_request_up(of, config, last_chance);
@@ -392,7 +396,7 @@ impl Motor {
         }
     }
 
-    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
+    /// The bus carries nothing: what waits is dropped, except for stops, and late replies come later.
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
         if self.is_waiting() && !self.is_stop_waiting() {
             self.unreached = self.unreached.saturating_add(1);
@@ -426,8 +430,8 @@ impl Motor {
         self.health.count_answer(round_trip);
     }
 
-    /// Something was heard of it. Gives whether that was just after something else, so that it may be the
-    /// same once more.
+    /// Something was heard of it. Returns whether that came just after something else, so that it may be the same frame
+    /// doubled.
     #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         self.unreached = 0;
@@ -440,8 +444,8 @@ impl Motor {
         silence < config.doubled_within()
     }
 
-    /// It was sent this, by itself or with all: keeps track of where it believes it is, what it reports by itself, and how it
-    /// was stopped last.
+    /// It was sent this, individually or with all. Keeps track of whether it knows its position, what it reports
+    /// unasked, and how it was stopped last.
     pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
         if kind.is_refused_while_stopped() {
             self.told = Told::Nothing;

@@ -1,4 +1,4 @@
-//! What a controller hands back, since a more urgent frame came: it was never on the bus.
+//! Frames that a controller hands back because a more urgent one came: they were never on the bus.
 
 use crate::data::Data;
 use crate::kind::Kind;
@@ -12,7 +12,7 @@ use crate::packet::Packet;
 use crate::time::Instant;
 
 impl Motor {
-    /// A controller has handed a frame back that it had taken. It waits again, unless it is too old for that.
+    /// A controller has handed back a frame that it had taken. The frame waits again, unless it is too old.
     pub(in crate::master) fn was_pushed_out(&mut self, packet: &Packet) {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
@@ -20,7 +20,7 @@ impl Motor {
             kind.is_motion() == packet.is_motion() && *data == packet.data
         };
         let asked = match self.request {
-            // It was not sent yet, so that this is another like it.
+            // It was not sent yet, so this is another frame like it.
             Request::Waiting(asked) if asked.unanswered == 0 => None,
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
                 Some(asked)
@@ -38,7 +38,7 @@ impl Motor {
 
     fn request_was_pushed_out(&mut self, mut asked: Asked) {
         match self.request {
-            // One without a reply, and nobody was told yet that it was sent.
+            // It has no reply, and its sending was not reported yet.
             Request::Sent(_) => self.settled_at = Instant::ZERO,
             // Its time was up, and it counted as lost.
             Request::Waiting(_) => self.health.uncount_miss(),
@@ -64,7 +64,7 @@ impl Motor {
 
     fn set_point_was_pushed_out(&mut self) {
         self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
-        // Nor was it a set-point's turn.
+        // Nor was it the set-point's turn.
         self.last_sent.remove(LastSent::REQUESTS_TURN);
         let is_newest = self.stream.was_pushed_out();
         if !is_newest {
@@ -72,22 +72,22 @@ impl Motor {
         } else if self.last_sent.contains(LastSent::IS_OLD)
             || self.request.under_way().is_some_and(Asked::ends_motion)
         {
-            // What waits to end motion was asked for after it, and a restart is news since.
+            // What waits to end motion was requested after it, and a restart was noticed since.
             self.drop_waiting_set_point();
         }
     }
 
-    /// A stop went over it, or its time was up: it will not be answered.
+    /// A stop took its place, or its time was up: it will not be answered.
     fn given_up_was_pushed_out(&mut self, packet: &Packet) {
         let command = Opcode::from_byte(packet.data[0]).filter(|_| !packet.is_motion());
         if command.is_some_and(|it| Kind::Known(it).ends_motion()) {
-            // It may have been what told it to stop.
+            // It may be the command that told the motor to stop.
             self.told = Told::Nothing;
         }
         match self.take_late(packet, false) {
             Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
             Some(Of::RequestAnswered | Of::StreamAnswered) => {
-                // What was taken for its answer came late, to one that counted as lost.
+                // What was taken for its answer was a late one, to a command that counted as lost.
                 self.health.answered = self.health.answered.saturating_sub(1);
             }
             Some(Of::RequestStopped | Of::StreamStopped | Of::Nobody) | None => {}

@@ -1,4 +1,4 @@
-//! What a reply means to its motor: every reply is held against what is in flight, and what may come late.
+//! What a reply means to its motor: every reply is compared with what is in flight and with what may come late.
 
 use crate::command::{AnyReply, Command, ReadRunTime};
 use crate::id::MotorId;
@@ -15,8 +15,7 @@ use crate::opcode::{Opcode, Repeat};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
-/// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of
-/// several sendings.
+/// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of several sendings.
 pub(in crate::master) enum Meaning {
     /// It answers a set-point.
     Feedback(AnyReply, Option<Duration>),
@@ -26,19 +25,19 @@ pub(in crate::master) enum Meaning {
     Answer(TicketId, Kind, Option<Duration>),
     /// It confirms the stop.
     StopConfirmed(Option<Duration>),
-    /// It answers what was asked, but does not end it: nothing is to be reported.
+    /// It answers what was asked, but does not end it: there is nothing to report.
     Nothing,
-    /// It answers what ends motion, which goes once more: something sent before may move the motor yet.
+    /// It answers what ends motion, which is sent once more: something sent before may still move the motor.
     OnceMore,
-    /// It may as well answer the broadcast, and ends nothing.
+    /// It may also answer the broadcast, and ends nothing.
     OfBroadcast,
     /// It is the late answer to something that was given up.
     Late,
-    /// It is none of these; or what was answered last, once more.
+    /// It is none of these, or the last answer doubled.
     Unasked { is_doubled: bool },
 }
 
-/// A reply, and what the master knows of the motor that it is from.
+/// A reply, and what the master knows of its motor.
 pub(in crate::master) struct Heard<'a> {
     pub(in crate::master) from: MotorId,
     pub(in crate::master) packet: &'a Packet,
@@ -48,18 +47,18 @@ pub(in crate::master) struct Heard<'a> {
 }
 
 impl Heard<'_> {
-    /// Whether it may be the answer to what all were told.
+    /// Whether it may be the answer to a broadcast.
     fn may_answer_broadcast(&self) -> bool {
         !self.packet.is_motion() && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
     }
 
-    /// Whether it may be the echo of a drive that has lost its master and ignored the command.
+    /// Whether it may be a command that a drive without a master has ignored and sent back.
     fn may_be_ignored_one(&self) -> bool {
         self.lost_master.contains(self.from)
     }
 
-    /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this may be of before
-    /// it said so, since an answer may equal its command.
+    /// The same for a reply to the command in flight. The drive ignores only one command. If this reply may be from
+    /// before its message, the ignored command may be the next one, since an answer may equal its command.
     fn take_ignored_one(&mut self, may_be_of_before: bool) -> bool {
         let may_be = self.may_be_ignored_one();
         if may_be && !may_be_of_before {
@@ -70,7 +69,7 @@ impl Heard<'_> {
 }
 
 impl Motor {
-    /// Holds a reply against what is expected: what is in flight, and what may come late.
+    /// Compares a reply with what is expected: what is in flight, and what may come late.
     pub(in crate::master) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
@@ -89,7 +88,7 @@ impl Motor {
             self.last_answered = Some(asked.question);
             return self.take_what_may_answer(asked, may_be_doubled, heard, config);
         }
-        // Too soon after that: to one sent before, or to all.
+        // It came too soon after the last sending: it answers an earlier one, or a stop to all.
         let is_of_stop =
             |asked: &Asked| asked.is_stop() && asked.unanswered > 1 && is_same(asked.question);
         if self.request.in_flight().is_some_and(is_of_stop) {
@@ -98,7 +97,7 @@ impl Motor {
         self.take_what_answers_nothing(may_be_doubled, heard, config)
     }
 
-    /// A reply as this request has it, which may be owed to something else.
+    /// A reply that matches this request, but may belong to something else.
     fn take_what_may_answer(
         &mut self,
         asked: Asked,
@@ -106,14 +105,14 @@ impl Motor {
         heard: &mut Heard<'_>,
         config: &Config,
     ) -> Meaning {
-        // Of what waits to be sent again: the last answer doubled.
+        // If the request waits to be sent again, this is the last answer doubled.
         if may_be_doubled && self.request.waiting().is_some() {
             return Meaning::Nothing;
         }
         if !asked.is_stop() {
             return self.take_answer(asked, heard, config);
         }
-        // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
+        // A reply that belongs to a broadcast or an earlier stop comes first, and says nothing about this one.
         if heard.may_answer_broadcast() {
             self.request = Request::Waiting(asked);
             return Meaning::OfBroadcast;
@@ -121,14 +120,14 @@ impl Motor {
         if self.take_late(heard.packet, may_be_doubled).is_none() {
             return self.take_answer(asked, heard, config);
         }
-        // Nobody counts what may be the last one again: each would send one more.
+        // What may be the last reply doubled does not count: each would cause one more stop.
         if !may_be_doubled {
             self.go_on_unconfirmed(asked, config);
         }
         Meaning::Nothing
     }
 
-    /// A reply to nothing that is under way.
+    /// A reply that matches nothing under way.
     #[inline(never)]
     fn take_what_answers_nothing(
         &mut self,
@@ -146,7 +145,8 @@ impl Motor {
             },
             Some(Of::Nobody) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
-            // Or it comes from before that, and the next command is what is ignored: nobody knows its bytes any more.
+            // It may be a set-point that was ignored, or from before that: the bytes of the set-point are no longer
+            // known.
             Some(_) if heard.may_be_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, Position::of(&reply), None, config, now),
@@ -183,11 +183,11 @@ impl Motor {
             return Meaning::Unasked { is_doubled: false };
         };
         self.on_its_way.note_bus_alive(now, config);
-        // An earlier one may be what was ignored, and nobody knows its bytes any more.
+        // An earlier set-point may be what was ignored, and its bytes are no longer known.
         let mut is_one_late = self.prolong_late(set_point.question, config, now);
         let may_be_of_all = heard.may_answer_broadcast();
         if may_be_of_all {
-            // If it is that of all, this one's is still to come.
+            // If it belongs to the broadcast, the reply to this set-point is still to come.
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
             is_one_late = true;
@@ -201,10 +201,10 @@ impl Motor {
         }
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
-        // Also where nobody has heard why, an echo says nothing of that.
+        // An echo says nothing about the position, even if it is not known why it came.
         let position = Position::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, position, Some(round_trip), config, now);
-        // That to a set-point before is hardly older, and a jump that is missed is worse than one that is none.
+        // If it answers an earlier set-point it is hardly older, and a missed jump is worse than a false one.
         if let Some(position) =
             position.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES)
         {
@@ -213,9 +213,9 @@ impl Motor {
         meaning
     }
 
-    /// Its answer may be owed to an earlier stop, so that it goes once more: at once, unless the motor was stopped before
-    /// and this is called again, or that has happened before. Then it waits until nothing is owed any more: stops
-    /// that go on would go on owing.
+    /// Its answer may belong to an earlier stop, so it is sent again. This is done at once, unless it is a repeated
+    /// stop or this has happened several times. Then it waits until no earlier answer can come: otherwise each stop
+    /// would leave more of them pending.
     fn go_on_unconfirmed(&mut self, stop: Asked, config: &Config) {
         if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
             self.waits_to_go_once_more(stop, Proof::WaitsForOwed, config);
@@ -224,7 +224,7 @@ impl Motor {
         }
     }
 
-    /// What ends its motion goes once more, when nobody can take an answer of before for that to the last.
+    /// What ends its motion is sent once more, when no earlier answer can be taken for that to the last.
     fn waits_to_go_once_more(&mut self, mut asked: Asked, proof: Proof, config: &Config) {
         let until = self.sent + asked.timeout + config.late_window;
         let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
@@ -244,7 +244,7 @@ impl Motor {
         let is_of_before =
             self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
-            // It ignores one, and no more.
+            // The drive ignores one command, and no more.
             let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
             if asked.is_stop() || asked.may_go_again() && is_harmless() {
                 self.request = Request::Waiting(asked);
@@ -253,24 +253,24 @@ impl Motor {
             }
             return Meaning::Nothing;
         }
-        // With more than one attempt under way nobody knows which one this answers.
+        // With more than one attempt under way it is not known which one this answers.
         let round_trip = (is_in_flight && asked.unanswered == 0).then_some(now - self.sent);
         if is_in_flight {
             self.answered(round_trip);
         } else {
-            // That counted as lost, or was to all.
+            // The command counted as lost, or was to all.
             self.note_there();
         }
         let kind = asked.kind();
         if kind.ends_motion() {
             let may_undo = heard.to_all.may_undo(kind, motor);
             let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
-            // The bus is whole, at last: what lies in a mailbox comes now.
+            // The bus is intact at last: what is in a mailbox leaves it now.
             if asked.proof == Proof::First && may_lie && !may_undo {
                 self.may_move_until(now + config.late_window, config);
             }
             if may_undo || self.may_yet_move() {
-                // Nothing that moves it goes between the attempts of what ends its motion.
+                // Nothing that moves it goes between the attempts to end its motion.
                 self.on_its_way.note_bus_alive(now, config);
                 self.waits_to_go_once_more(asked, Proof::Waits, config);
                 return Meaning::OnceMore;
@@ -284,7 +284,7 @@ impl Motor {
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
             (kind, ReadRunTime::decode_reply(&data))
         {
-            // It may answer one of several sendings, of which each waits for its turn behind the time-out of the last.
+            // It may answer one of several sendings, each of which waited for its turn after the time-out of the last.
             let earlier = asked.timeout.times(2 * u32::from(asked.unanswered));
             self.note_run_time(reply, earlier, config, now);
         }

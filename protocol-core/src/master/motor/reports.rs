@@ -1,4 +1,4 @@
-//! What a motor reports by itself, as it was told by 0xB6.
+//! What a motor reports unasked, as 0xB6 told it to.
 
 use crate::data::Data;
 use crate::master::motor::Motor;
@@ -6,16 +6,16 @@ use crate::master::motor::restarts::RESTART_TAKES;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// One that has not reported for so many of its intervals does so no more.
+/// A motor that has not reported for this many of its intervals no longer does.
 const REPORTS_MISSED: u32 = 3;
 
 impl Motor {
-    /// Whether it reports this by itself.
+    /// Whether it reports this unasked.
     pub(in crate::master) fn reports(&self, bit: u8, now: Instant) -> bool {
         self.reports & bit != 0 && self.may_report_yet(now)
     }
 
-    /// It was told what to report from now on, or what no more.
+    /// It was told what to report from now on, or what to stop reporting.
     pub(super) fn note_reports(&mut self, data: &Data) {
         let [_, command, enable, low, high, ..] = *data;
         let bit = Opcode::from_byte(command).map_or(0, reported_bit);
@@ -27,7 +27,7 @@ impl Motor {
         }
     }
 
-    /// Whether it reports, as it was told: one that was not heard for so long does so no more.
+    /// Whether it still reports: a motor that was not heard for this long does not.
     fn may_report_yet(&self, now: Instant) -> bool {
         let interval = Duration::from_millis(10 * u64::from(self.report_interval));
         let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
@@ -36,7 +36,7 @@ impl Motor {
     }
 }
 
-/// The bit of a command that a drive can report by itself (2.34.2), and none of any other.
+/// The bit of a command that a drive can report unasked (2.34.2); 0 for any other.
 pub(in crate::master) fn reported_bit(opcode: Opcode) -> u8 {
     opcode.report_place().map_or(0, |place| 1 << place)
 }

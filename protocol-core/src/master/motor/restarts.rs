@@ -1,4 +1,4 @@
-//! What shows that a motor has restarted: the turns that it had counted are gone, and the next move starts from
+//! What shows that a motor has restarted: the turns that it had counted are lost, and its next move starts from
 //! wherever it now believes to be.
 
 use crate::command::{AnyReply, RunTime};
@@ -7,37 +7,37 @@ use crate::master::event::{Failure, feedback_of};
 use crate::master::motor::{LastSent, Motor, News};
 use crate::time::{Duration, Instant};
 
-/// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
+/// A motor that was silent for this long and answers again may have restarted: that takes 1.1 s.
 pub(super) const RESTART_TAKES: Duration = Duration::from_secs(1);
 
-/// By so much, and by one part in so many of the time that it has run, a drive's clock may differ.
+/// A drive's clock may differ by this much, and by one part in this many of the time that it has run.
 const CLOCKS_DIFFER: u32 = steps(Duration::from_millis(250));
 const CLOCKS_DIFFER_BY: u32 = 64;
-/// A drive's time begins anew after 49.7 days, and steps after 50.9: who is known for longer says nothing.
+/// A drive's time starts anew after 49.7 days, and steps wrap after 50.9: for longer times nothing can be concluded.
 const MAY_WRAP: u32 = steps(Duration::from_secs(48 * 24 * 3_600));
 
-/// In steps of 1,024 us, which wrap: milliseconds would take a division of 64 bits.
+/// A time in steps of 1,024 us, which wrap: milliseconds would need a 64-bit division.
 const fn steps(span: Duration) -> u32 {
     (span.as_micros() >> 10) as u32
 }
 
-/// When this is, in such steps.
+/// A point in time in these steps.
 fn step_of(at: Instant) -> u32 {
     steps(at - Instant::ZERO)
 }
 
-/// No motor turns a degree in less: 10,000 dps.
+/// No motor turns a degree in less time: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
-/// In degrees: what lies further away is nearer to another turn.
+/// In degrees: a position further away is nearer to another turn.
 const HALF_A_TURN: u16 = 180;
 pub(in crate::master) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
 
-/// Motion mode tells the position on a scale of the firmware's, which need not be known here. On the narrowest, of
-/// 25 rad (V4.3), a turn is a quarter of it, and 10,000 dps are 458 steps in a millisecond.
+/// Motion mode reports the position on a scale of the firmware's, which need not be known here. On the narrowest, of 25
+/// rad (V4.3), a turn is a quarter of it, and 10,000 dps are 458 steps in a millisecond.
 const EIGHTH_OF_SCALE: u16 = 1 << 13;
 const STEP_TAKES: Duration = Duration::from_micros(2);
 
-/// Where the motor is, as feedback says.
+/// The motor's position according to feedback.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::master) enum Position {
     Degrees(i16),
@@ -53,8 +53,8 @@ impl Position {
         }
     }
 
-    /// How long the way from here takes at least, if it is longer than a first half of a turn, or eighth of the scale.
-    /// After another kind of stream nobody knows how far it is.
+    /// How long the way to `other` takes at least, without its first half turn, or eighth of the scale; `None` if it is
+    /// no longer than that. After another kind of stream the way is not known.
     fn shortest_way_to(self, other: Self) -> Option<Duration> {
         let (beyond, takes) = match (self, other) {
             (Self::Degrees(from), Self::Degrees(to)) => {
@@ -71,9 +71,9 @@ impl Position {
 }
 
 impl Motor {
-    /// Who did not answer last and was silent for as long as a restart takes is moved no more: the first move that it
-    /// heard would start from wherever it thinks it is. Unless the caller has resumed it since it was last asked anything.
-    /// Gives whether it has restarted.
+    /// A motor that did not answer last time, and was silent for as long as a restart takes, is not moved: the first
+    /// move that it hears would start from wherever it believes to be. The exception is a motor that the caller has
+    /// resumed since its last answer, or the last that did not come. Returns whether it has restarted.
     pub(in crate::master) fn note_restart_if_silent(
         &mut self,
         config: &Config,
@@ -85,7 +85,7 @@ impl Motor {
         self.has_restarted
     }
 
-    /// It is silent, and was so for as long as a restart takes.
+    /// It is silent. Notes a restart if that has lasted for as long as one takes.
     #[inline(never)]
     pub(super) fn note_silence(&mut self, config: &Config, now: Instant) {
         let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
@@ -94,7 +94,7 @@ impl Motor {
         }
     }
 
-    /// It is heard again after so long.
+    /// It is heard again after this silence.
     #[inline]
     pub(super) fn note_back_after(&mut self, silence: Duration, config: &Config, now: Instant) {
         if self.was_missed() && silence >= RESTART_TAKES {
@@ -102,7 +102,7 @@ impl Motor {
         }
     }
 
-    /// It is heard for the first time, so that it has started, unless it was told to start anew: that may be yet to come.
+    /// It is heard for the first time, so it has started, unless it was told to restart: that may be yet to come.
     #[inline(never)]
     pub(super) fn note_first_heard(&mut self, config: &Config, now: Instant) {
         let (now, latest) = (step_of(now), step_of(now + config.restart_time));
@@ -111,7 +111,7 @@ impl Motor {
         }
     }
 
-    /// It has said how long it had run: when it was asked last, or up to so much `earlier`.
+    /// It has said how long it had run when it was asked last, or up to this much `earlier`.
     pub(in crate::master) fn note_run_time(
         &mut self,
         runs: RunTime,
@@ -120,8 +120,8 @@ impl Motor {
         now: Instant,
     ) {
         let run = steps(Duration::from_millis(runs.run_time.raw().into()));
-        // So long it has run at least, from when it was known to have started until it was asked. What lies ahead is
-        // longer than anything.
+        // It has run at least this long: from when it is known to have started until it was asked. If that start lies
+        // ahead, this wraps to more than any run time.
         let asked = step_of(self.sent).wrapping_sub(steps(earlier));
         let least = asked.wrapping_sub(self.started_by);
         let most = run.saturating_add(CLOCKS_DIFFER + run / CLOCKS_DIFFER_BY);
@@ -131,7 +131,7 @@ impl Motor {
         self.started_by = step_of(now).wrapping_sub(run);
     }
 
-    /// Feedback of its stream says where it is: further from where it was than it can have turned since.
+    /// Feedback of its stream reports its position. Notes a restart if that is further away than it can have turned.
     #[inline(never)]
     pub(in crate::master) fn note_position(
         &mut self,
@@ -150,7 +150,7 @@ impl Motor {
     pub(in crate::master) fn begin_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
-        // It may be about to, by a command.
+        // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
         self.last_stop.end_by_restart();

@@ -1,21 +1,21 @@
-//! What stops a motor: its own stop, whatever all are told, and what becomes of a stop that is not confirmed.
+//! What stops a motor: its own stop, commands to all, and what becomes of a stop that is not confirmed.
 //!
 //! # The way of a stop
-//! 1. It is put in the place of whatever waits ([`put_stop`](Motor::put_stop)), unless one like it is under way
-//!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)): nothing that moves goes before that is over, so that it is no
-//!    matter whether it was lifted meanwhile. Answers to what was sent before are owed from then on.
-//! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other. One that is called for again
-//!    leaves every second turn on a line to others, and waits on CAN for whom was sent no more.
+//! 1. It takes the place of whatever waits ([`put_stop`](Motor::put_stop)), unless an equal one is under way
+//!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)). Nothing that moves is sent before that one is over, even
+//!    if it was lifted meanwhile. From then on, answers to what was sent before are pending.
+//! 2. It is sent ([`schedule`](crate::master::schedule)), first stops before any other. A repeated stop leaves every
+//!    second turn on RS485 to others, and waits on CAN for motors that were sent no more.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
-//!    - It may be owed to what was sent before: the stop goes again, at once or, if stops go on and on, when nothing is
-//!      owed any more ([`WaitsForOwed`](crate::master::request::Proof::WaitsForOwed)).
-//!    - It is the stop's, but something sent before may still move the motor: when that is over the stop goes once more,
-//!      and the answer to that counts ([`Waits`](crate::master::request::Proof::Waits),
+//!    - If it may belong to what was sent before, the stop is sent again: at once or, if stops go on and on, when no
+//!      such answer is pending any more ([`WaitsForOwed`](crate::master::request::Proof::WaitsForOwed)).
+//!    - If it is the stop's, but something sent before may still move the motor, the stop is sent once more when that
+//!      is over, and the answer to that counts ([`Waits`](crate::master::request::Proof::Waits),
 //!      [`Second`](crate::master::request::Proof::Second)).
-//!    - Else the motor has confirmed it ([`note_motion_ended`](Motor::note_motion_ended)).
-//! 4. None comes in time: it goes again ([`deadlines`](crate::master::motor::deadlines)) until it has no attempts left.
-//!    Then it was given up ([`stop_was_given_up`](Motor::stop_was_given_up)), which is reported, and goes once more from
-//!    time to time, and when the motor is heard, for as long as it is in force ([`Purpose::StopAgain`]).
+//!    - Otherwise the motor has confirmed it ([`note_motion_ended`](Motor::note_motion_ended)).
+//! 4. If none comes in time, the stop is sent again ([`deadlines`](crate::master::motor::deadlines)) until it has no
+//!    attempts left. Then it is given up ([`stop_was_given_up`](Motor::stop_was_given_up)), which is reported. While it
+//!    is in force it is sent once more from time to time, and when the motor is heard ([`Purpose::StopAgain`]).
 
 use crate::kind::Kind;
 use crate::master::config::Config;
@@ -31,10 +31,10 @@ use crate::time::Instant;
 /// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::master) enum Told {
-    /// None was, or something since that may have moved it.
+    /// No stop was, or something since that may have moved it.
     #[default]
     Nothing,
-    /// The one under way was. If a controller hands that back, it was not.
+    /// The stop under way was. If a controller hands it back, it was not.
     ByThis,
     /// An earlier one was.
     Before,
@@ -43,24 +43,24 @@ pub(in crate::master) enum Told {
 /// What became of a motor's last stop.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::master) enum LastStop {
-    /// There was none, or it is under way, or the motor was told something else since.
+    /// There was none, it is under way, or the motor was told something else since.
     #[default]
     None,
     /// It has confirmed this one.
     Confirmed(StopKind),
     /// It has not confirmed it.
     Unconfirmed {
-        /// It was stopped so, or told so since.
+        /// How it was stopped, or told to stop since.
         kind: StopKind,
-        /// So many stop frames were sent, of which each may still be answered.
+        /// How many stop frames were sent, each of which may still be answered.
         sendings: u8,
-        /// When it was given up last.
+        /// When the stop was last given up.
         since: Instant,
     },
 }
 
 impl LastStop {
-    /// The motor has restarted: it is held no more.
+    /// The motor has restarted: it is no longer held.
     pub(super) fn end_by_restart(&mut self) {
         if let Self::Confirmed(_) = self {
             *self = Self::None;
@@ -78,25 +78,26 @@ impl LastStop {
 }
 
 impl Motor {
-    /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
-    /// from here, and one whose last was sent has one more.
+    /// Keeps an equal stop that is under way; returns whether there is one. If that stop is a repetition of one that
+    /// was given up, it gets all its attempts from here. If its last attempt was sent, it gets one more.
     fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
         if asked.purpose == Purpose::StopAgain {
             (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, stop.attempts_left);
-            // What became of an earlier stop says nothing of this one.
+            // What became of an earlier stop says nothing about this one.
             self.news.remove(News::UNCONFIRMED);
         } else if asked.attempts_left == 0 && asked.unanswered < 2 * STOP_ATTEMPTS {
-            // Who calls now is owed one of its own. Not for ever: who calls in every cycle is told that none is confirmed.
+            // Each call gets an attempt of its own, but not for ever: a caller in every cycle must learn that none is
+            // confirmed.
             (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, 1);
         }
         self.drop_waiting_set_point();
         true
     }
 
-    /// It is stopped like this. What became of a stop like it holds yet where nothing has undone that since: it is called
-    /// again, and where it was given up, an answer to any frame of that confirms this.
+    /// The motor is stopped in this way. If nothing has undone an equal stop since, this is a repeated one. If that
+    /// stop was given up, an answer to any of its frames confirms this one.
     pub(in crate::master) fn stop(&mut self, mut stop: Asked, config: &Config, now: Instant) {
         if self.keep_stop_under_way(&stop) {
             return;
@@ -121,12 +122,12 @@ impl Motor {
         }
         self.drop_waiting_set_point();
         if stop.purpose != Purpose::StopAgain {
-            // What became of an earlier stop says nothing of this one.
+            // What became of an earlier stop says nothing about this one.
             self.news.remove(News::UNCONFIRMED);
         }
         let is_callers = match self.request {
             Request::None => false,
-            // Also one whose outcome is not told yet: each request has one.
+            // Also for a request whose outcome was not reported yet: each request has one.
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
                 !asked.is_stop()
             }
@@ -148,8 +149,8 @@ impl Motor {
         self.request = Request::Waiting(stop);
     }
 
-    /// What ends motion is to count once no stop of the other kind from before can come any more. A controller that
-    /// keeps no order sends that behind this: a load that is held falls, or a motor that is off is switched on.
+    /// What ends motion must not count before every earlier stop of the other kind has arrived. A controller that keeps
+    /// no order may send that one later: a load that is held falls, or a motor that is off is switched on.
     #[inline(never)]
     pub(in crate::master) fn let_other_stop_come_first(
         &mut self,
@@ -164,8 +165,8 @@ impl Motor {
         }
     }
 
-    /// It was told this, by itself or with all. If that stops it, a stop that it has not confirmed goes on like that: a
-    /// hold would switch on whom somebody has switched off since.
+    /// It was told this, individually or with all. If this stops it, an unconfirmed stop is repeated in this form: a
+    /// hold would switch on a motor that was switched off since.
     pub(super) fn note_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         match &mut self.last_stop {
@@ -177,7 +178,7 @@ impl Motor {
         }
     }
 
-    /// Its stop was not confirmed, which is told once. Nobody has a ticket of it.
+    /// Its stop was not confirmed. This is reported once, as an event: no caller has a ticket for a stop.
     pub(super) fn stop_was_given_up(&mut self, stop: &Asked, now: Instant) {
         if stop.purpose != Purpose::StopAgain {
             self.news.insert(News::UNCONFIRMED);
@@ -191,14 +192,14 @@ impl Motor {
     /// It has answered this, which ends its motion.
     pub(in crate::master) fn note_motion_ended(&mut self, by: Kind) {
         self.on_its_way.finish();
-        // A drive that has no brake acknowledges its lock, too, and turns on.
+        // A drive without a brake also acknowledges its lock, and turns on.
         if let Some(stop) = StopKind::by(by) {
             self.last_stop = LastStop::Confirmed(stop);
             self.news.remove(News::UNCONFIRMED);
         }
     }
 
-    /// The stop that it has not confirmed, and since when nothing goes on with that.
+    /// The stop that it has not confirmed, and since when nothing was done about it.
     pub(in crate::master) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
         match self.last_stop {
             _ if self.request.under_way().is_some_and(Asked::ends_motion) => None,
@@ -207,9 +208,9 @@ impl Motor {
         }
     }
 
-    /// A stop to all was sent, which tells it this, and may be answered beside its own. On CAN, where that is the same,
-    /// as one more sending of it. On a line the answers of several motors collide, so that nobody knows whether this
-    /// one's is to come: it confirms nothing.
+    /// A stop to all was sent, which the motor may answer in addition to its own stop. On CAN, if both are the same, it
+    /// counts as one more sending of its own. On RS485 the answers of several motors collide, so it is not known
+    /// whether this one's will come: it confirms nothing.
     pub(in crate::master) fn stop_to_all_was_sent(
         &mut self,
         told: Question,
@@ -223,14 +224,14 @@ impl Motor {
         }
     }
 
-    /// A stop goes over the set-point in flight, which may still come, and be answered until then.
+    /// A stop takes the place of the set-point in flight, which may still arrive, and be answered until then.
     pub(super) fn stop_set_point(&mut self, until: Instant, config: &Config) {
         if let Some(set_point) = self.stream.take_in_flight() {
             self.expect_late(set_point.question, Of::StreamStopped, 1, until, config);
         }
     }
 
-    /// The stop to all was handed back: nobody answers it.
+    /// The stop to all was handed back: it will not be answered.
     pub(in crate::master) fn stop_to_all_was_pushed_out(
         &mut self,
         told: Question,
@@ -244,14 +245,15 @@ impl Motor {
         }
     }
 
-    /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
+    /// The stop under way that tells it this. A stop that waits to be sent once more is confirmed by its own answer
+    /// alone.
     fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
         let stop = self.request.under_way_mut()?;
         (stop.is_stop() && stop.question == told && !stop.proof.waits()).then_some(stop)
     }
 
-    /// All are told to end their motion: nothing older of this motor's follows that.
-    /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
+    /// All are told to end their motion: nothing older of this motor is sent after that. With `off` they are let go: a
+    /// hold of this motor under way, or sent again, would switch it on.
     pub(in crate::master) fn end_with_all(
         &mut self,
         off: Option<Asked>,
