@@ -349,8 +349,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Lifts the [`stop`](Self::stop) of this motor, **no matter which caller called for it**. Where several callers
-    /// stop one motor, only the one that knows why it was stopped may lift it. A stop of all stays in force, also for
-    /// this motor.
+    /// stop one motor, only the one that knows why it was stopped should lift it. A stop of all stays in force, also
+    /// for this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
         self.stopped.remove(motor);
         if self.stops_all.is_none() {

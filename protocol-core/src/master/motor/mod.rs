@@ -113,8 +113,8 @@ pub(super) struct Motor {
     pub(super) on_its_way: OnItsWay,
     /// Part of that is not among `late`: late replies say nothing about it.
     is_beyond_late: bool,
-    /// As far as is known, its drive had started by this [step](restarts::steps) of time: it was heard then, or has
-    /// said how long it had run, or it may have been about to restart.
+    /// As far as is known, its drive had started by this step (`restarts::steps`): it was heard then, or has said how
+    /// long it had run, or it may have been about to restart.
     started_by: u32,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
