@@ -202,7 +202,8 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
-        // A stop that is repeated automatically is what the motor was told last, and no new call for it.
+        // A stop that is repeated automatically is what the motor was told last. No caller has switched the motor off
+        // with it, so it need not stay off.
         if kind == StopKind::Off && purpose == Purpose::Stop {
             self.switched_off.insert(motor);
         }

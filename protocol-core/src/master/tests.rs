@@ -59,7 +59,7 @@ fn step() -> IncrementalPosition {
     IncrementalPosition { max_speed: MaxSpeed::from_raw(100), angle: Angle::from_raw(9_000) }
 }
 
-/// Everything the master sends at this time, which it is told first.
+/// Everything that the master sends at this time, after it has taken note of the time.
 fn sent<const N: usize>(master: &mut Master<N>, now: Instant) -> Vec<Packet> {
     master.handle_timeout(now);
     let mut packets = Vec::new();
@@ -97,12 +97,12 @@ fn ask<C: Command, const N: usize>(
     ticket
 }
 
-/// One attempt, whose answer is waited for so long.
+/// One attempt with this time-out.
 fn once(millis: u64) -> Patience {
     Patience { attempts: 1, reply_timeout: Duration::from_millis(millis) }
 }
 
-/// This motor was stopped and has confirmed none of the attempts from then on. Gives when that was told.
+/// This motor was stopped and confirms no attempt from then on. Returns when that was reported.
 fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> u64 {
     let unconfirmed = [Event::StopUnconfirmed { motor: id(motor) }];
     let mut times = from..from + 1_000;

@@ -527,7 +527,7 @@ fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
     assert_eq!(late.end_of(question), Some(ms(30)));
     late.expect(question, Of::RequestStopped, 1, ms(10));
     assert_eq!(late.end_of(question), Some(ms(30)), "the longest counts");
-    // Three of them, told as the last was given up.
+    // Three of them, reported as the last was given up.
     for _ in 0..3 {
         let taken = late.take(&ReadModel.packet(id(1)), false);
         assert_eq!(taken.map(|(of, _)| of), Some(Of::RequestStopped));
@@ -613,7 +613,7 @@ fn a_motor_is_not_forgotten_before_its_failure_was_told_or_while_it_restarts() {
     assert!(master.forget(id(2)));
 }
 
-/// A step was offered and withdrawn, and the request in its place was offered to nobody.
+/// A step was offered and withdrawn, and the request in its place was not offered.
 #[test]
 fn what_was_put_since_the_offer_was_not_sent() {
     let mut master = Master::<2>::new(Config::CAN);

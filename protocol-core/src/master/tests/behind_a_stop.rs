@@ -1,16 +1,16 @@
-//! What may come behind a stop, for how long, and which answers count then.
+//! What may arrive after a stop, for how long, and which answers count then.
 
 use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, to};
 use super::*;
 
-/// All were told this, and nobody who has a place is expected to answer.
+/// All were told this, and no motor that has a place is expected to answer.
 fn all_were_told<C: Command>(master: &mut Master<2>, command: C, now: Instant) {
     master.broadcast(command, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(master, now)), [TO_ALL]);
     events(master, now);
 }
 
-/// Motor 1 was switched off by a stop that was sent twice and answered once at 51 ms: the other may lie in a mailbox.
+/// Motor 1 was switched off by a stop that was sent twice and answered once at 51 ms: the other may be in a mailbox.
 fn one_shutdown_unanswered() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -96,7 +96,7 @@ fn what_is_to_go_once_more_does_not_wait_where_the_bus_may_be_cut() {
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
-    // Nothing was heard since one to all was sent, and only an answer tells when that comes.
+    // Nothing was heard since one to all was sent, and only an answer shows when that arrives.
     master.stop_all(StopKind::Off, id(2).into()).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(3))), [TO_ALL, to(2)]);
     // But the answer to that, which cannot come any more then, is not to confirm it.
@@ -146,7 +146,7 @@ fn a_lock_is_answered_only_when_no_move_of_all_can_reach_the_motor_any_more() {
     assert!(locked.outcome(&told).is_some());
 }
 
-/// Motor 1 has not answered the move of all, is told twice to switch off, and answers the first: that goes once more.
+/// Motor 1 has not answered the move of all, is told twice to switch off, and answers the first: it is sent once more.
 fn in_doubt_and_asked_twice() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     all_were_told(&mut master, torque(1.0), ms(0));
@@ -159,7 +159,7 @@ fn in_doubt_and_asked_twice() -> Master<2> {
 #[test]
 fn an_answer_that_comes_just_behind_the_move_does_not_confirm_the_stop_that_was_before_it() {
     let mut master = in_doubt_and_asked_twice();
-    // Which of the two came behind the move nobody knows.
+    // Which of the two arrived after the move is not known.
     reply(&mut master, 1, TORQUE_REPLY, ms(3));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None);
     assert_eq!(channels(&sent(&mut master, ms(4))), [to(1)]);
@@ -295,7 +295,7 @@ fn feedback_is_heard_while_a_stop_to_all_and_ones_own_are_awaited() {
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
     let told = reply(&mut master, 1, TORQUE_REPLY, ms(101));
     assert!(told.is_some_and(|it| it.feedback().is_some()));
-    // So it has come, and the stop behind it.
+    // So it has arrived, and the stop after it.
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), confirmed(1));
 }
 
@@ -339,7 +339,7 @@ fn who_is_stopped_already_is_not_stopped_anew_for_a_shutdown_of_all() {
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     master.stop(id(2), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(1))), [to(2)]);
-    // It would undo that, so that the others get it each by itself.
+    // It would undo that, so each of the others gets it individually.
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(2))), [to(3), to(1)]);
 }
@@ -383,7 +383,7 @@ fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_one() {
     assert_eq!(channels(&packets), [TO_ALL, to(1)]);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), confirmed(1));
     events(&mut master, ms(101));
-    // Later than anybody expects an answer: the answer to this is told.
+    // Later than any answer is expected: the answer to this is reported.
     events(&mut master, ms(250));
     let off = master.request(id(1), Shutdown).unwrap();
     let mut told = None;
@@ -462,7 +462,7 @@ fn the_answer_to_the_stop_of_all_confirms_nothing_while_a_set_point_is_in_flight
     assert_ne!(heard, confirmed(1), "the set-point lies in a mailbox yet");
 }
 
-/// The same where the move of all was not answered, and the set-point is lost behind the first answer.
+/// The same where the move of all was not answered, and the set-point is lost after the first answer.
 #[test]
 fn a_stop_goes_on_though_a_set_point_is_lost_after_its_first_answer() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -489,7 +489,7 @@ fn a_stop_goes_on_though_a_set_point_is_lost_after_its_first_answer() {
     );
 }
 
-/// Motor 1 has not answered a move of all, of which nobody expects anything any more; it was asked for its angle since.
+/// Motor 1 has not answered a move of all, whose answer is no longer expected; it was asked for its angle since.
 fn moved_and_read() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -512,8 +512,9 @@ fn that_a_motor_answers_something_else_does_not_say_that_a_move_of_all_has_come(
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(143)), confirmed(1));
 }
 
-/// The first answer comes after more than half of the attempts, and may be owed to what was asked before: the next stop
-/// waits until nothing is owed. Its answer is the first that counts, and brings what lies in a mailbox.
+/// The first answer comes after more than half of the attempts, and may belong to what was asked before: the next stop
+/// waits until no such answer is pending. Its answer is the first that counts, and shows that what is in a mailbox
+/// leaves it now.
 #[test]
 fn a_stop_that_has_waited_for_what_is_owed_is_answered_twice_like_any_behind_a_move_of_all() {
     let mut master = moved_and_read();

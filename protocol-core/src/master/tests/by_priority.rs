@@ -1,11 +1,11 @@
-//! Where ids decide who is first: a controller of three mailboxes that sends by priority, and hands back what has to make
-//! way, and a bus on which answers arbitrate. No stop is handed back for ever, and none unconfirmed.
+//! A controller with three mailboxes that sends by priority and hands back what has to make way, and a bus on which
+//! answers arbitrate. No stop is handed back for ever, and none stays unconfirmed.
 
 use super::*;
 
 const MAILBOXES: usize = 3;
 
-/// Motors are told by their id, the lower the sooner.
+/// Motors with lower ids are told sooner.
 fn priority(packet: &Packet) -> Option<core::cmp::Reverse<MotorId>> {
     match packet.channel {
         Channel::Command(Target::Motor(motor)) => Some(core::cmp::Reverse(motor)),
@@ -13,9 +13,9 @@ fn priority(packet: &Packet) -> Option<core::cmp::Reverse<MotorId>> {
     }
 }
 
-/// Goes on for so many milliseconds: what lies in the mailboxes is sent and answered, by all but who is `absent`, then
-/// the caller has its `cycle`, and then the master is looked after. Gives when each motor was first told to stop, and
-/// how often anything else.
+/// In each of these milliseconds, what is in the mailboxes is sent, and answered by all motors but the `absent`. Then
+/// the caller has its `cycle`, and then the master runs. Returns when each motor was first told to stop, and how often
+/// it was told anything else.
 fn told(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
@@ -25,7 +25,7 @@ fn told(
     told_with_all(master, span, absent, cycle).0
 }
 
-/// The same, and how often all were told something.
+/// The same, and how often a command to all was sent.
 fn told_with_all(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
@@ -95,7 +95,7 @@ fn a_stop_of_all_of_every_cycle_reaches_each_motor() {
     }
 }
 
-/// It has not answered when it was asked, so that nobody waits for its turn.
+/// It has not answered when it was asked, so the others do not wait for its turn.
 #[test]
 fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
     for motors in 4..=12 {
@@ -112,7 +112,7 @@ fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
                 master.set_point(motor, torque(1.0), ms(now)).unwrap();
             }
         });
-        // It has to make way at 200 ms, lies there alone at 201 ms, and is sent.
+        // It has to make way at 200 ms, is alone in the mailboxes at 201 ms, and is sent.
         assert!(told[last.index()].0.is_some_and(|at| at <= 202), "of {motors}");
     }
 }
@@ -184,8 +184,8 @@ fn streams_have_equal_shares_beside_a_stop_of_every_cycle() {
     }
 }
 
-/// How often all were told something in 200 ms in which so many motors are stopped in every cycle: more than the
-/// mailboxes hold, and all of it goes before a command to all.
+/// How often a command to all is sent in 200 ms in which this many motors are stopped in every cycle. That is more than
+/// the mailboxes hold, and all of it goes before a command to all.
 fn told_all_beside_stops(motors: u8, mut tell: impl FnMut(&mut Master<32>, u64)) -> u64 {
     let mut master = Master::new(Config::CAN);
     let (_, to_all) = told_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
@@ -288,7 +288,7 @@ impl Arbitrating {
         Self { room, queue, answers, motors, to_all: 0, stops_of_first: 0 }
     }
 
-    /// Carries a frame. Gives whose answer it is, if it is one.
+    /// Carries a frame. If it is an answer, returns whose it is.
     fn carry(&mut self, slot: u64) -> Option<(MotorId, Data)> {
         // The ids of commands are the lower ones.
         if let Some(packet) = self.queue.pop_front() {
@@ -433,7 +433,7 @@ fn a_motor_gets_a_round_less_ahead_for_each_frame_that_could_be_pushed_out() {
             assert_eq!([10_300, 10_900].map(|now| answer(&mut master, 1, now).0), [1, 1]);
             continue;
         }
-        // Three may lie there: none gets ahead.
+        // Three may be in the mailboxes: no motor gets ahead.
         assert_eq!(answer(&mut master, 1, 10_300), (0, Some(at(10_816))));
         assert_eq!(sent(&mut master, at(10_815)), []);
         assert_eq!(sent(&mut master, at(10_816)).len(), 1, "until 11.224 ms");

@@ -1,11 +1,11 @@
-//! What was sent to all and lies in a mailbox while something else was sent to all since; what is handed back after a
-//! restart or a failure.
+//! Commands to all that are in a mailbox while another was sent since, and frames that are handed back after a restart
+//! or a failure.
 
 use super::unnamed::{channels, to};
 use super::*;
 
-/// Motor 1 is told to hold when `before` was done: whether its first confirmation counts, and when the next frame is
-/// due otherwise.
+/// Motor 1 is told to hold after `before`. Returns whether its first confirmation counts, and otherwise when the next
+/// frame is due.
 fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
     let mut master = Master::<2>::new(Config::CAN);
     before(&mut master);
@@ -29,7 +29,7 @@ fn to_all<C: Command>(master: &mut Master<2>, command: C, at: u64) -> Packet {
 
 #[test]
 fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_all_since() {
-    // Nobody has a place, so that nothing waits for answers. Each is on its way for 61.2 ms.
+    // No motor has a place, so nothing waits for answers. Each command may arrive for 61.2 ms.
     let reset = |master: &mut Master<2>| _ = to_all(master, Reset, 0);
     let off = |master: &mut Master<2>| _ = to_all(master, Shutdown, 0);
     let read = |master: &mut Master<2>| _ = to_all(master, ReadMultiTurnAngle, 1);
@@ -48,7 +48,7 @@ fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_al
         }
     }
     assert_eq!(held_after(read, 2), Ok(()));
-    // A lock lets nobody go, and who has answered the Shutdown is off already.
+    // A lock lets no motor go, and a motor that has answered the Shutdown is off already.
     assert_eq!(held_after(|master| _ = to_all(master, LockBrake, 0), 2), Ok(()));
     let answered = |master: &mut Master<2>| {
         off(master);
@@ -83,7 +83,7 @@ fn what_lets_go_of_all_is_in_nobodys_way_but_of_who_is_to_be_held() {
     }
     assert_eq!(sent(&mut master, ms(1)).len(), 2);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
-    // That to all is owed to whom it has reached, and comes first.
+    // The answer to the command to all comes first.
     reply(&mut master, 2, Shutdown.encode(), ms(2));
     sent(&mut master, ms(2));
     assert_eq!(reply(&mut master, 2, Shutdown.encode(), ms(3)), confirmed(2));
@@ -119,7 +119,7 @@ fn a_hold_is_in_doubt_while_a_cut_bus_may_keep_a_shutdown_of_all() {
     assert_eq!(told, Ok(()));
 }
 
-/// A motor that is known, and then silent until a restart of it is told.
+/// A motor that is known, and then silent until its restart is reported.
 fn restarted(between: impl FnOnce(&mut Master<2>) -> Packet) -> (Master<2>, Packet) {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
@@ -192,7 +192,7 @@ fn a_command_to_all_that_is_handed_back_after_its_time_was_up_was_not_lost() {
     assert_eq!(master.health(id(1)).lost, 2);
     master.handle_pushed_out(&to_all);
     assert_eq!(master.health(id(1)).lost, 1);
-    // It goes once more, and nobody counts that.
+    // It is sent once more, and that is not counted.
     assert_eq!(sent(&mut master, ms(124)), [to_all]);
     events(&mut master, ms(150));
     master.handle_pushed_out(&to_all);
@@ -302,7 +302,7 @@ fn a_motor_that_a_command_to_all_may_yet_move_is_not_forgotten() {
     let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 0x68, 1];
     reply(&mut master, 1, feedback, ms(30));
     assert!(master.forget(id(1)), "it has come");
-    // What moves nobody does not matter.
+    // A command that moves no motor does not matter.
     to_all(&mut master, ReadMultiTurnAngle, 100);
     let _read = ask(&mut master, 1, ReadRunTime, ms(200));
     reply(&mut master, 1, [0xB1, 0, 0, 0, 1, 0, 0, 0], ms(201)).unwrap();
@@ -398,7 +398,7 @@ fn on_rs485_no_shutdown_meets_the_answer_to_a_hold_that_it_takes_the_place_of() 
     assert_eq!(sent_on_line(hold, off_all), ms(5));
 }
 
-/// The move of all has lain in the controller for 59 ms, and the set-point may lie there yet.
+/// The move of all was in the controller for 59 ms, and the set-point may still be there.
 #[test]
 fn the_answer_to_a_move_of_all_is_no_feedback_of_a_set_point_like_it() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -476,7 +476,7 @@ fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
     assert_eq!(sent(&mut master, ms(21)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(22))), [to(1)]);
-    // The answer to the first set-point, twice. The second lies in a mailbox.
+    // The answer to the first set-point, twice. The second set-point is in a mailbox.
     assert!(reply(&mut master, 1, TORQUE_REPLY, ms(23)).is_some());
     reply(&mut master, 1, TORQUE_REPLY, ms(23) + Duration::from_micros(140));
     assert_eq!(
@@ -486,11 +486,11 @@ fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
     );
 }
 
-/// A set-point of motion mode has the least urgent id: it lies in a mailbox, which the stop overtakes.
+/// A set-point of motion mode has the least urgent id: it is in a mailbox, and the stop overtakes it.
 #[test]
 fn behind_a_cut_that_follows_its_first_answer_a_stop_is_confirmed_by_no_other() {
     let mut master = Master::<2>::new(Config::CAN);
-    // Motion mode has the least urgent ids: it lies in a mailbox, which the stop overtakes.
+    // Motion mode has the least urgent ids: it is in a mailbox, and the stop overtakes it.
     master.set_point(id(1), motion(), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();

@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// Stops all in every cycle of 1 ms; each motor answers its own stop after 900 us. Gives who has got a stop of its
-/// own before `until`.
+/// Stops all in every cycle of 1 ms; each motor answers its own stop after 900 us. Returns the motors that have got a
+/// stop of their own before `until`.
 fn stopped_by(mut master: Master<16>, motors: u8, until: u64) -> MotorSet {
     let all: MotorSet = (1..=motors).map(id).collect();
     let is_line = matches!(master.config().bus, Bus::Rs485 { .. });
@@ -33,7 +33,7 @@ fn stopped_by(mut master: Master<16>, motors: u8, until: u64) -> MotorSet {
 #[test]
 fn who_has_confirmed_a_stop_of_every_cycle_keeps_no_other_motors_first_stop_back_on_a_line() {
     let master = Master::new(Config::rs485(1_000_000, false));
-    // One to all and the pause behind it, and an exchange with each: 5 ms and 2 ms.
+    // One to all and the pause after it, and an exchange with each: 5 ms and 2 ms.
     assert_eq!(stopped_by(master, 2, 20).len(), 2);
 }
 
@@ -61,7 +61,7 @@ fn a_stop_that_was_confirmed_once_is_tried_as_often_as_any_when_it_is_called_aga
     assert_eq!((attempts, told), (15, Some(Event::StopUnconfirmed { motor: id(1) })));
 }
 
-/// Motor 2 did not answer its last question, so that nothing but having been told nothing yet brings it forward.
+/// Motor 2 did not answer its last question: only that it was not told to stop yet brings it forward.
 #[test]
 fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -76,8 +76,8 @@ fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
     assert_eq!(master.poll_transmit(ms(6)), Some(packet_to(2, Shutdown.encode())));
 }
 
-/// What a line carries in 200 ms while `stop` calls for stops every millisecond, and somebody else wants to switch
-/// motor 7 off and to move motor 8. Drives answer after 900 us; motor 2 is not there. Gives how often each was
+/// What a line carries in 200 ms while `stop` calls for stops every millisecond, and another caller wants to switch
+/// motor 7 off and to move motor 8. Drives answer after 900 us; motor 2 is not there. Returns how often each was
 /// answered.
 fn answered_beside(stop: impl Fn(&mut Master<8>)) -> [u32; 8] {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
@@ -127,7 +127,7 @@ fn a_stop_of_every_cycle_brings_no_broadcast_back_that_is_over() {
     assert_eq!(to_all, 1);
 }
 
-/// The broadcast is over, whoever answers it, when the stop is called for the next time.
+/// The broadcast is over, no matter which motors answer it, when the stop is called for the next time.
 #[test]
 fn a_stop_of_every_cycle_has_its_turn_beside_broadcasts_of_every_cycle() {
     let both = answered_beside(|master| {
@@ -167,9 +167,9 @@ fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn()
     assert!(dead[6] >= 5 && dead[7] >= 5, "{dead:?}");
 }
 
-/// What comes of 1,000 calls of `stop`, `period_ms` apart, where every `lost`th answer is lost. Motors answer their own
-/// stops after 900 us; nobody hears what a line answers to all. Gives how many of each motor were confirmed, and how many
-/// were not.
+/// Calls `stop` 1,000 times, `period_ms` apart, and loses every `lost`th answer. Motors answer their own stops after
+/// 900 us; on a line, answers to a stop to all are not heard. Returns how many stops of each motor were confirmed, and
+/// how many were not.
 fn of_every_cycle(
     mut master: Master<4>,
     stop: impl Fn(&mut Master<4>),
@@ -265,7 +265,7 @@ fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
     }
 }
 
-/// A thread that reads a motor's status beside another that stops it.
+/// One thread reads a motor's status while another stops it.
 #[test]
 fn a_request_that_a_stop_of_every_cycle_drops_takes_no_turn_of_others() {
     let both = answered_beside(|master| {
@@ -398,9 +398,9 @@ fn what_all_are_asked_has_its_turn_beside_a_stop_that_is_called_again() {
     assert_eq!(sent(&mut master, ms(2)), [packet_to_all(ReadModel.encode())]);
 }
 
-/// Nobody answers anything, for a cable is out: what moves the motor `before` a stop, that stop, and what moves it
-/// `behind` that, when it is lifted. Then each stop is answered after a millisecond. Nobody else speaks on the bus. Gives
-/// after how many ms each stop goes until one is confirmed.
+/// A cable is out, and nothing is answered: neither what moves the motor `before` a stop, nor that stop, nor what moves
+/// it `behind` it, after it was lifted. Then each stop is answered after a millisecond, with nothing else on the bus.
+/// Returns after how many ms each stop is sent until one is confirmed.
 fn sent_behind_a_cut(
     before: impl Fn(&mut Master<2>, Instant),
     behind: impl Fn(&mut Master<2>, Instant),
@@ -431,8 +431,8 @@ fn sent_behind_a_cut(
     panic!("no stop is confirmed: {sendings:?}");
 }
 
-/// Where it was moved since the last stop, half of the attempts go at once, and one 61 ms after the last of these. Where
-/// something may lie in a mailbox, the answer to that says that it comes now, and the last goes 41 ms later.
+/// If it was moved since the last stop, half of the attempts go at once, and one 61 ms after the last of these. If
+/// something may be in a mailbox, the answer to that one shows that it leaves now, and the last goes 41 ms later.
 #[test]
 fn a_stop_that_waits_for_what_is_owed_waits_for_no_sign_of_a_bus_that_nobody_else_uses() {
     let set_point = |master: &mut Master<2>, now| {
@@ -511,7 +511,7 @@ fn a_broadcast_and_requests_go_beside_a_stop_of_every_cycle() {
     assert!(is_broadcast && is_asked);
 }
 
-/// All are asked again and again, and one of them never answers, or nobody is expected to. Motor 1 streams, answers after
+/// All are asked again and again, and one of them never answers, or none is expected to. Motor 1 streams, answers after
 /// 900 us, and is asked for something once.
 #[test]
 fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
@@ -541,7 +541,7 @@ fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
                 }
             }
         }
-        // Until a broadcast that was put before it is over, and nobody answers that late: 62 ms.
+        // Until a broadcast that was put before it is over, and can no longer be answered late: 62 ms.
         assert!(asked_at.is_some_and(|slot| slot - 2_000 <= 8 * 63), "{asked_at:?}");
     }
 }
@@ -607,8 +607,8 @@ fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_ever
     assert!(shares[1] > 200, "{shares:?}");
 }
 
-/// It was called when the last attempt of the one before had been sent, and is told as unconfirmed only behind one of its
-/// own; but in every cycle that goes on for as long again and no longer.
+/// It is called when the last attempt of the one before has been sent, and is reported as unconfirmed only after an
+/// attempt of its own. If it is called in every cycle, there are as many attempts again and no more.
 #[test]
 fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is_given_up() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -634,7 +634,7 @@ fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is
     assert_eq!(count, 30);
 }
 
-/// Nobody has to look at the time more often than it is told to.
+/// The caller need not look at the time more often than `poll_at` says.
 #[test]
 fn when_a_stop_that_gives_way_to_what_all_are_told_may_go_is_said() {
     let mut master = Master::<2>::new(Config::CAN);

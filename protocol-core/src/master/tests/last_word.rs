@@ -1,5 +1,5 @@
-//! Calls in any order, to motors that hear or do not: nobody is switched on who was told last to be off, and who has
-//! confirmed no stop gets it again.
+//! Calls in any order, to motors that hear or do not. No motor is switched on that was last told to be off, and a motor
+//! that has confirmed no stop gets it again.
 
 use super::*;
 

@@ -80,7 +80,7 @@ fn a_stop_waits_for_another_motors_patient_exchange_for_50_ms_and_no_less() {
     assert_eq!(sent(&mut master, ms(50)).len(), 1);
 }
 
-/// Whom nobody has named is stopped by that alone, and the line keeps the order: motor 1 is off in the end.
+/// Only this stops motors that were not named, and the line keeps the order: motor 1 is off in the end.
 #[test]
 fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_later() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
@@ -276,7 +276,7 @@ fn off(master: &mut Master<2>, at: u64) -> Option<Event> {
     master.handle_line(&Frame { address: Target::Motor(id(1)), data: Shutdown.encode() }, ms(at))
 }
 
-/// Lifts the stop and stops the motor anew, with a set-point between the two; nobody hears that stop.
+/// Lifts the stop and stops the motor anew, with a set-point in between; that stop is not heard.
 fn is_moved_and_stopped_in_vain(master: &mut Master<2>, at: u64) {
     master.lift_stop();
     master.set_point(id(1), torque(1.0), ms(at)).unwrap();
@@ -287,7 +287,7 @@ fn is_moved_and_stopped_in_vain(master: &mut Master<2>, at: u64) {
     assert_eq!(sent(master, at), [packet_to(1, Shutdown.encode())]);
 }
 
-/// An adapter may hold the answer to the stop to all back, so that it comes behind that to the motor's own.
+/// An adapter may hold the answer to the stop to all back, so that it comes after that to the motor's own.
 #[test]
 fn on_a_line_the_answer_to_a_stop_to_all_confirms_neither_the_stop_nor_a_later_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
@@ -356,7 +356,7 @@ fn on_a_line_feedback_keeps_no_stop_in_doubt() {
     assert_eq!(answer(&mut master, Shutdown.encode(), ms(19)), confirmed(1));
 }
 
-/// Motor 1 is to be off, so that what holds all goes to motor 2 by itself.
+/// Motor 1 is to be off, so that what holds all goes to motor 2 individually.
 #[test]
 fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
@@ -373,7 +373,7 @@ fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
     assert_eq!(sent(&mut master, ms(7)), [packet_to(2, Stop.encode())]);
 }
 
-/// Motor 1 is held, and has said so; that it is to be off now keeps nobody waiting who was told nothing yet.
+/// Motor 1 has confirmed that it is held. That it is to be off now delays no motor that was not told to stop yet.
 #[test]
 fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
@@ -428,8 +428,8 @@ fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
     }
 }
 
-/// When motor 2 confirms its stop, at least 1 ms from now, while motor 1 is let go and stopped anew every millisecond and
-/// answers after 900 us.
+/// When motor 2 confirms its stop, 1 ms from now or later, while motor 1 is let go and stopped anew every millisecond
+/// and answers after 900 us.
 fn confirms_beside_one_that_is_stopped_anew(master: &mut Master<2>, from: u64) -> Option<u64> {
     (from + 1..from + 1_000).find(|&now| {
         master.lift_stop_of(id(1));
@@ -452,7 +452,7 @@ fn a_stop_that_was_lost_goes_again_though_another_motor_is_stopped_anew_in_every
     assert_eq!(confirms_beside_one_that_is_stopped_anew(&mut master, 0), Some(7));
 }
 
-/// Motor 2 seems dead, and nobody knows that it is not.
+/// Motor 2 seems dead, and is not known to be alive.
 #[test]
 fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every_cycle() {
     for lost in 1..4 {
@@ -501,7 +501,7 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
     }
 }
 
-/// The port takes nothing meanwhile, so that whoever has no place has heard nothing of it yet.
+/// The port takes nothing meanwhile, so motors without a place have not heard it yet.
 #[test]
 fn a_stop_to_all_that_waits_goes_also_where_it_was_lifted_and_all_are_stopped_again() {
     for (kind, data) in [(StopKind::Off, Shutdown.encode()), (StopKind::Hold, Stop.encode())] {

@@ -53,7 +53,7 @@ fn the_echo_of_an_ignored_set_point_that_was_given_up_is_no_feedback() {
         // The bus has held the first one back.
         let event = reply(&mut master, 1, torque(1.0).encode(), ms(23));
         assert!(!matches!(event, Some(Event::Feedback { .. })), "{is_newer_in_flight}: {event:?}");
-        // Nobody knows which of the two that were sent before was ignored, if any: it may be the next.
+        // Which of the two that were sent before was ignored, if any, is not known: it may be the next.
         let event = reply(&mut master, 1, [0xA1, 0x32, 0, 0, 0, 0, 0, 0], ms(24));
         assert!(matches!(event, Some(Event::Stray { .. })), "{event:?}");
         let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(25));
@@ -149,7 +149,7 @@ fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignor
     assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(7)), Some(Event::Feedback { .. })));
 }
 
-/// Who begins between two of its messages has not heard that it has lost its master.
+/// A master that starts between two of its messages has not heard that it has lost its master.
 #[test]
 fn the_echo_of_what_moves_is_no_answer_whoever_has_heard_of_a_lost_master() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -238,7 +238,7 @@ fn feedback_from_before_the_message_is_not_what_a_drive_that_lost_its_master_ign
     }
 }
 
-/// Nobody can tell it from the echo of an ignored command: it ends nothing, and what comes next may be ignored.
+/// It cannot be told from an ignored command that is sent back: it ends nothing, and the next command may be ignored.
 #[test]
 fn an_answer_from_before_the_message_that_equals_its_command_is_not_all_that_is_ignored() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -268,7 +268,7 @@ fn an_answer_to_all_from_before_the_message_is_not_all_that_is_ignored() {
     assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(201)), None, "ignored");
 }
 
-/// A read was sent before the message and after it: nobody knows which of the two is answered, or was ignored.
+/// A read was sent before the message and after it: which of the two is answered, or was ignored, is not known.
 #[test]
 fn the_answer_to_one_of_two_sendings_does_not_say_what_the_drive_ignores() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -295,7 +295,7 @@ fn a_set_point_of_0_that_was_ignored_is_no_feedback() {
     assert_eq!(echo, Some(Event::SetPointUnanswered { motor: id(1) }));
 }
 
-/// A load that the brake holds would fall, behind what ends motion, or after whoever asked for it has given up.
+/// A load that the brake holds would fall, after what ends motion, or after the caller has given up.
 #[test]
 fn an_ignored_release_of_a_brake_that_is_over_does_not_go_again() {
     for is_withdrawn in [true, false] {

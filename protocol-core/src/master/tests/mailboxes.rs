@@ -1,4 +1,4 @@
-//! What lies in a controller's mailbox while others overtake it, or while the bus is cut.
+//! Frames in a controller's mailbox while others overtake them, or while the bus is cut.
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn is_stop_confirmed(master: &mut Master<2>, at: Instant) -> bool {
 
 #[test]
 fn of_two_commands_to_all_that_move_the_answer_to_one_says_nothing_of_the_other() {
-    // Nobody is known or expected, so that the second goes at once.
+    // No motor is known or expected, so the second goes at once.
     let mut master = Master::<2>::new(Config::CAN);
     for _ in 0..2 {
         master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -138,7 +138,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
     assert_eq!(sent(&mut master, ms(201)), []);
     assert_eq!(events(&mut master, ms(201)), []);
     master.lift_stop();
-    // Of a question nobody waits for an answer any more.
+    // The answer to a question is no longer waited for.
     master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
     let in_mailbox = sent(&mut master, ms(300))[0];
     events(&mut master, ms(300));
@@ -272,7 +272,7 @@ fn what_a_stop_overtook_has_the_whole_of_its_window() {
     assert!(at > ms(61) && at < ms(62), "its reply's time and the window: {at:?}");
 }
 
-/// Motion, torque and a step lie in mailboxes, and count as lost.
+/// Motion, torque and a step are in mailboxes, and count as lost.
 fn three_lost_moves() -> Master<2> {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
@@ -293,7 +293,7 @@ fn what_makes_way_among_late_replies_may_move_the_motor_all_the_same() {
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(48));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(49)), None, "motion may come yet");
-    // One goes to all, since there is no place for motor 3, and nobody has room for the late answer to that.
+    // One goes to all, since there is no place for motor 3, and no motor has room for the late answer to it.
     assert!(master.stop_all(StopKind::Off, (1..=3).map(id).collect()).is_err());
     assert_eq!(sent(&mut master, ms(50)).len(), 2);
     reply(&mut master, 1, TORQUE_REPLY, ms(51)).unwrap();
@@ -306,7 +306,7 @@ fn what_makes_way_among_late_replies_may_move_the_motor_all_the_same() {
 #[test]
 fn of_what_lay_in_mailboxes_of_a_cut_bus_the_answer_to_one_says_nothing_of_what_is_late_no_more() {
     let mut master = three_lost_moves();
-    // For motion nobody waits any more; and the bus is whole again.
+    // Motion is no longer waited for, and the bus is intact again.
     events(&mut master, ms(62));
     reply(&mut master, 1, TORQUE_REPLY, ms(63)).unwrap();
     reply(&mut master, 1, [0xA8, 0, 0, 0, 0, 0, 0, 0], ms(64)).unwrap();
@@ -346,7 +346,7 @@ fn what_became_of_an_earlier_stop_is_not_told_of_the_next() {
     for attempt in 0..15 {
         assert_eq!(sent(&mut master, ms(21 * attempt)).len(), 1);
     }
-    // It is unconfirmed, and nobody asks for events.
+    // It is unconfirmed, and no events are polled.
     master.handle_timeout(ms(315));
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert_eq!(events(&mut master, ms(315)), []);
@@ -467,7 +467,7 @@ fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any
         master.stop(id(1), StopKind::Hold).unwrap();
         (master, in_mailbox)
     };
-    // It reaches the motor behind the Hold, or its answer is lost.
+    // It reaches the motor after the Hold, or its answer is lost.
     for is_answered in [true, false] {
         let (mut master, _) = overtaken(false);
         assert_eq!(sent(&mut master, ms(0))[0].data, hold);
@@ -479,7 +479,7 @@ fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any
             master.poll_at().unwrap()
         };
         assert!(is_answered || at > ms(60) && at < ms(70), "{at:?}");
-        // Who asks for it in every cycle is told as well.
+        // A caller that asks for it in every cycle is also told.
         master.stop(id(1), StopKind::Hold).unwrap();
         assert_eq!(sent(&mut master, at)[0].data, hold);
         assert_eq!(reply(&mut master, 1, hold, at + Duration::from_millis(1)), confirmed(1));
@@ -548,13 +548,13 @@ fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_h
     // Nobody begins anew.
     assert_eq!(goes(Reset.encode(), StopKind::Hold), []);
     assert_eq!(goes(Reset.encode(), StopKind::Off), []);
-    // Whom this master does not know is to be stopped, too.
+    // Motors that this master does not know must also be stopped.
     assert_eq!(goes(off, StopKind::Off), [packet_to_all(off)]);
     assert_eq!(goes(hold, StopKind::Hold), [packet_to_all(hold)]);
 }
 
-/// Each frame to motor 1 is answered by it a millisecond later. Gives what was sent in these milliseconds, and whether
-/// a stop was confirmed.
+/// Motor 1 answers each frame a millisecond later. Returns what was sent in these milliseconds, and whether a stop was
+/// confirmed.
 fn obeyed(master: &mut Master<2>, span: core::ops::Range<u64>) -> (Vec<Packet>, bool) {
     let (mut all, mut is_confirmed) = (Vec::new(), false);
     for at in span {
@@ -682,7 +682,7 @@ fn no_restart_of_all_comes_back_behind_a_stop_of_all_though_nobody_has_a_place()
 #[test]
 fn the_answer_to_an_attempt_before_the_last_move_could_come_does_not_confirm_the_one_behind_it() {
     let mut master = Master::<2>::new(Config::CAN);
-    // Lies in a mailbox until 40 ms.
+    // In a mailbox until 40 ms.
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -719,7 +719,7 @@ fn nor_does_it_say_so_of_a_move_without_reply_where_the_window_has_grown_since()
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "it comes now");
 }
 
-/// Its move is over by time, and nobody has told it to end its motion.
+/// Its move is over by time, and it was not told to end its motion.
 #[test]
 fn a_read_that_is_not_answered_does_not_say_that_a_move_may_come() {
     let mut master = Master::<2>::new(Config::CAN);

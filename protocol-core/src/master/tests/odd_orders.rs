@@ -1,5 +1,5 @@
-//! What callers and controllers do seldom: calls that meet something on its way, frames handed back late,
-//! a bus that was cut, patience of a caller's own.
+//! What callers and controllers seldom do: calls while something is on its way, frames handed back late, a bus that was
+//! cut, a caller's own time-outs.
 
 use super::*;
 use crate::command::{ReadStatus2, ReleaseBrake};
@@ -154,7 +154,7 @@ fn on_rs485_nobodys_patience_holds_a_stop_up() {
     let at = master.poll_at().unwrap();
     assert!(at <= ms(50), "{at:?}");
     assert_eq!(sent(&mut master, at)[0].data, Shutdown.encode());
-    // Nothing else goes beside the other exchange, and that may be answered yet.
+    // Nothing else goes during the other exchange, which may still be answered.
     let _ = master.request(id(3), ReadMultiTurnAngle).unwrap();
     let confirm = Frame { address: Target::Motor(id(2)), data: Shutdown.encode() };
     let told = master.handle_line(&confirm, at + Duration::from_millis(2));
@@ -287,7 +287,7 @@ fn a_raw_move_without_a_reply_follows_nothing_that_ends_motion() {
 #[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
-    // Nobody answers it, so that the next one need not wait for answers.
+    // It is not answered, so the next one need not wait for answers.
     let raw = RawCommand::new([0x55; 8], ReplyRule::Silent, true);
     master.broadcast(raw, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
@@ -468,7 +468,7 @@ fn on_rs485_no_stop_meets_the_answer_to_what_it_goes_over() {
 fn a_brake_that_may_be_released_after_a_stop_leaves_that_unconfirmed() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReleaseBrake, ms(0));
-    // It lies in a mailbox, and the stop overtakes it.
+    // It is in a mailbox, and the stop overtakes it.
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(1));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "a load may fall yet");
@@ -690,8 +690,8 @@ fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
 fn whoever_fills_a_line_holds_no_stop_up() {
     let mut master = Master::<2>::new(Config::rs485(115_200, false));
     let of_another = Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY };
-    // With an adapter that delivers every millisecond, and somebody who speaks all the time, as two motors of one id
-    // may that answer each other.
+    // With an adapter that delivers every millisecond, and frames all the time, as from two motors of one id that
+    // answer each other.
     let looks_at = |master: &mut Master<2>, at| {
         master.handle_line(&of_another, at);
         !sent(master, at).is_empty()
@@ -740,7 +740,7 @@ fn on_a_line_who_has_answered_turns_around_first() {
     assert_eq!(sent(&mut master, after(100)).len(), 1);
 }
 
-/// Nobody is to call anything between an offer and its sending; whoever does has it sent once more, not left out.
+/// Nothing is to be called between an offer and its sending. If it is, the frame is sent once more, not left out.
 #[test]
 fn what_was_offered_before_all_are_let_go_or_a_restart_is_noted_does_not_count_as_sent() {
     let mut master = Master::<2>::new(Config::CAN);

@@ -144,7 +144,7 @@ fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
     assert_eq!(sent(&mut master, ms(1)), []);
 }
 
-/// Nor a set-point whose feedback nobody waits for any more, unless it was not the newest by then.
+/// Nor a set-point whose feedback is no longer waited for, unless it was not the newest by then.
 #[test]
 fn a_set_point_that_was_withdrawn_is_not_sent_once_it_is_handed_back() {
     for has_newer in [false, true] {
@@ -222,7 +222,7 @@ fn an_attempt_that_is_handed_back_behind_a_stop_was_not_lost() {
     assert_eq!(master.health(id(1)).lost, 0);
 }
 
-/// A driver tells of both at once: that it has taken a frame, and which one had to make way for it.
+/// A driver reports both at once: that it has taken a frame, and which one had to make way for it.
 #[test]
 fn what_was_taken_is_not_sent_again_when_what_made_way_for_it_is_handed_back_first() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -260,7 +260,7 @@ fn handed_back_before_it_is_said(offer: impl FnOnce(&mut Master<2>), first: bool
         master.handle_transmitted(ms(4));
         master.handle_pushed_out(&packet_to_all(Shutdown.encode()));
     }
-    // Motor 1 is switched off by itself now. What was taken before may come behind that.
+    // Motor 1 is switched off individually now. What was taken before may arrive after that.
     let stop = packet_to(1, Shutdown.encode());
     assert!(sent(&mut master, ms(4)).contains(&stop), "the stop goes at once");
     reply(&mut master, 1, Shutdown.encode(), ms(5))
@@ -295,7 +295,7 @@ fn what_is_offered_and_taken_does_not_become_too_old_meanwhile() {
     let old = Packet { channel: Channel::Motion(id(1)), data: motion().encode() };
     master.handle_pushed_out(&old);
     master.handle_transmitted(expired);
-    // It lies in a mailbox.
+    // It is in a mailbox.
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, expired + Duration::from_millis(1)).len(), 1);
     let at = expired + Duration::from_millis(2);
@@ -410,7 +410,7 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     for at in [2, 1_000] {
         let mut master = Master::<2>::new(Config::CAN);
         let to_all = packet_to_all(ReadMultiTurnAngle.encode());
-        // Nobody is expected to answer, so that what is heard says nothing of where it is.
+        // No motor is expected to answer, so what is heard does not show where it is.
         master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
         assert_eq!(sent(&mut master, ms(at)), [to_all]);
         master.handle_pushed_out(&to_all);
@@ -424,7 +424,8 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     }
 }
 
-/// The bus has carried it. Who asks all again at once would keep set-points back for ever otherwise: it is never quiet.
+/// The bus has carried it. Otherwise a caller that asks all again at once would keep set-points back for ever: the bus
+/// is never quiet.
 #[test]
 fn what_was_handed_back_and_is_answered_keeps_nobody_back_though_the_next_is_put() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -535,7 +536,7 @@ fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
         assert_eq!(sent(&mut master, ms(at)), [second], "{at}");
     }
     reply(&mut master, 3, ANGLE_REPLY, ms(24)).unwrap();
-    // Motor 1 is sent something after that, so that nothing but being told nothing yet brings it forward.
+    // Motor 1 is sent something after that: only that it was not told to stop yet brings it forward.
     master.set_point(id(1), torque(1.0), ms(25)).unwrap();
     assert_eq!(sent(&mut master, ms(25)), [packet_to(1, torque(1.0).encode())]);
     master.handle_pushed_out(&second);
@@ -543,7 +544,7 @@ fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
     assert_eq!(sent(&mut master, ms(26)), [first, second]);
 }
 
-/// The second of motor 2, which was to be held and then to be off. The hold comes back, so that it may not have been told
+/// The second of motor 2, which was to be held and then to be off. The hold comes back, so it may not have been told
 /// before; but the other was sent.
 #[test]
 fn a_stop_that_was_sent_once_is_no_first_one_though_another_is_handed_back() {
@@ -562,7 +563,7 @@ fn a_stop_that_was_sent_once_is_no_first_one_though_another_is_handed_back() {
     assert_eq!(sent(&mut master, ms(23)), [first, second]);
 }
 
-/// Nobody is kept back any more for what makes way no longer.
+/// No motor is kept back any more for a frame that no longer makes way.
 #[test]
 fn who_has_answered_since_it_made_way_is_waited_for_no_more() {
     let mut master = Master::<2>::new(Config::CAN);

@@ -1,4 +1,4 @@
-//! What motors report by themselves.
+//! What motors report unasked.
 
 use super::*;
 use crate::command::ReadStatus2;
@@ -59,7 +59,7 @@ fn what_all_are_told_to_report_is_known_of_each() {
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
 }
 
-/// Motor 1 does not answer a read of its status. Gives what it says afterwards, with these flags, is told as.
+/// Motor 1 does not answer a read of its status. Returns the event for what it says afterwards, with these flags.
 fn late_status(flags: u8) -> Option<Event> {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadStatus1, ms(0));

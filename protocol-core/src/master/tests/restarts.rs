@@ -1,9 +1,9 @@
-//! Restarts: the pause after one that was asked for, and what the angle of a stream shows of others, where 180
-//! degrees and 10,000 dps between two replies are no jump.
+//! Restarts: the pause after one that was requested, and what the angle of a stream shows of others. 180 degrees and
+//! 10,000 dps between two replies are no jump.
 
 use super::*;
 
-/// Streams a set-point at this time and hears that angle so long after; whether that tells of a restart.
+/// Streams a set-point at this time and hears that angle this long after it. Returns whether that shows a restart.
 fn is_restart(master: &mut Master<2>, sent_us: u64, after_us: u64, degrees: i16) -> bool {
     let [at, then] = [sent_us, sent_us + after_us].map(Instant::from_micros);
     master.set_point(id(1), torque(1.0), at).unwrap();
@@ -16,7 +16,7 @@ fn is_restart(master: &mut Master<2>, sent_us: u64, after_us: u64, degrees: i16)
     !told.is_empty()
 }
 
-/// Whether that angle, and then this one, each a millisecond after its set-point, tells of a restart.
+/// Whether that angle, and then this one, each a millisecond after its set-point, shows a restart.
 fn is_jump(first: i16, second: i16, between_us: u64) -> bool {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!is_restart(&mut master, 0, 1_000, first), "there is none before the first");
@@ -278,8 +278,8 @@ fn a_stream_does_not_go_on_by_itself_after_a_restart() {
     assert!(master.set_point(id(1), motion(), ms(now + 5)).is_ok());
 }
 
-/// Motor 1 says at `at` that it has run for so long, in answer to what it was asked a millisecond before. Gives whether
-/// it has restarted, which its caller knows then.
+/// Motor 1 says at `at` that it has run for this long, a millisecond after it was asked. Returns whether a restart was
+/// reported. The caller has then resumed it.
 fn has_run(master: &mut Master<2>, run_ms: u32, at: u64) -> bool {
     let _ = ask(master, 1, ReadRunTime, ms(at - 1));
     let [a, b, c, d] = run_ms.to_le_bytes();
@@ -297,7 +297,7 @@ fn a_run_time_that_goes_back_is_that_of_a_restart() {
     }
 }
 
-/// The power was off while nobody asked: it has run for longer than it said then, and for less long than since.
+/// The power was off while it was not asked: it has run for longer than it said then, and for less long than since.
 #[test]
 fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
     // It was heard at 1 ms, or has said then how long it had run.
@@ -316,7 +316,7 @@ fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
     }
 }
 
-/// However long the master has run by itself.
+/// However long the master itself has run.
 #[test]
 fn who_is_heard_for_the_first_time_may_have_been_switched_on_just_then() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -327,7 +327,7 @@ fn who_is_heard_for_the_first_time_may_have_been_switched_on_just_then() {
     assert!(!has_run(&mut master, 1_500, 60_000));
 }
 
-/// It is known for 11 s, and has run for 9 s. Whoever waits for long for an answer that comes at once knows as much.
+/// It is known for 11 s, and has run for 9 s. A long time-out for an answer that comes at once changes nothing.
 #[test]
 fn a_patient_question_tells_a_restart_as_an_impatient_one_does() {
     for timeout_ms in [20, 2_000] {
@@ -348,7 +348,7 @@ fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
     // By a hundredth slow, and then fast.
     assert!(!has_run(&mut master, 3_565_000, 3_600_000));
     assert!(!has_run(&mut master, 7_300_000, 7_200_000));
-    // Whoever is heard for the first time may have run for weeks; and is known for weeks then.
+    // A motor that is heard for the first time may have run for weeks, and is then known for weeks.
     const A_DAY: u64 = 24 * 3_600_000;
     for days in [1, 8, 30, 45, 49] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -364,7 +364,7 @@ fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, u32::MAX - 1_000, 1_000));
     assert!(!has_run(&mut master, 8_999, 11_000));
-    // Nobody has looked for five seconds behind the answer.
+    // The caller has not looked for five seconds after the answer.
     let _ = ask(&mut master, 1, ReadRunTime, ms(20_000));
     reply(&mut master, 1, [0xB1, 0, 0, 0, 0x50, 0x46, 0, 0], ms(25_000));
     assert!(!events(&mut master, ms(25_000)).contains(&Event::Restarted { motor: id(1) }));
@@ -381,7 +381,7 @@ fn a_restart_by_command_is_told_once() {
     assert!(!has_run(&mut master, 1_900, 3_000));
 }
 
-/// Its stop was not confirmed, and is lifted: nobody has asked it anything since.
+/// Its stop was not confirmed, and is lifted: it was not asked anything since.
 #[test]
 fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -558,7 +558,7 @@ fn a_motor_that_stays_silent_is_told_to_have_restarted_once() {
     assert_eq!(told, 1);
 }
 
-/// Motor 1 gets a set-point, and says in its feedback that it is there. Gives what comes of that.
+/// Motor 1 gets a set-point, and says in its feedback that it is there. Returns what comes of that.
 fn streams(master: &mut Master<2>, degrees: i16, at: u64) -> Vec<Event> {
     master.set_point(id(1), torque(1.0), ms(at)).unwrap();
     assert_eq!(sent(master, ms(at)).len(), 1);
@@ -594,7 +594,7 @@ fn each_call_with_a_time_says_what_time_it_is() {
     }
 }
 
-/// The answer to what all were told is taken for feedback: where the motor was then nobody knows.
+/// The answer to a broadcast is taken for feedback: where the motor was then is not known.
 #[test]
 fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
     let mut master = Master::<2>::new(Config::CAN);

@@ -45,7 +45,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
         moves(master);
     });
     assert_eq!(count, 2);
-    // Not whoever has answered that, or has been stopped since.
+    // Not a motor that has answered that, or has been stopped since.
     let answered = |master: &mut Master<2>| {
         master.broadcast(torque(1.0), id(1).into()).unwrap();
         sent(master, ms(10));
@@ -53,7 +53,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
         events(master, ms(200));
     };
     assert_eq!(answers_that_confirm(answered), 1);
-    // Who has answered one of two may have the other to come.
+    // A motor that has answered one of two may still get the other.
     let answered_one = |master: &mut Master<2>| {
         for at in [10, 11] {
             master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -76,7 +76,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
         }
     };
     assert_eq!(answers_that_confirm(ended), 1);
-    // Nor whom nothing has moved.
+    // Nor a motor that nothing has moved.
     assert_eq!(answers_that_confirm(|_| {}), 1);
 }
 
@@ -118,7 +118,7 @@ fn a_set_point_that_was_given_up_in_a_cut_is_over_by_two_answers_where_nothing_w
     }
 }
 
-/// A move of all lies in a mailbox through a cut; motor 2 is heard twice since.
+/// A move of all stays in a mailbox through a cut; motor 2 is heard twice since.
 fn moved_in_a_cut(master: &mut Master<2>) {
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     sent(master, ms(10));
@@ -129,7 +129,7 @@ fn moved_in_a_cut(master: &mut Master<2>) {
     }
 }
 
-/// The first answer to a stop at this time confirms nothing. Gives when the second does.
+/// The first answer to a stop at this time confirms nothing. Returns when the second does.
 fn confirmed_after(master: &mut Master<2>, at: u64) -> u64 {
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(master, ms(at)).len(), 1);
@@ -251,7 +251,7 @@ fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
     panic!("no end");
 }
 
-/// Two answers are owed to a stop that was lifted.
+/// Two answers to a stop that was lifted are pending.
 #[test]
 fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
     let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
@@ -275,19 +275,19 @@ fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
 #[test]
 fn a_stop_that_is_cut_off_behind_its_first_answer_is_not_confirmed_by_one_more() {
     let mut master = Master::<2>::new(Config::CAN);
-    // It lies in a mailbox: what is told to one motor is more urgent.
+    // It is in a mailbox: commands to one motor are more urgent.
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(10)).len(), 1);
     events(&mut master, ms(10));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(15)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(16)), None);
-    // The bus is cut behind that answer: what goes once more has none.
+    // The bus is cut after that answer: the stop that goes once more has none.
     let mut times = 17..300;
     let mut next = |master: &mut Master<2>| times.find(|&now| !sent(master, ms(now)).is_empty());
     next(&mut master).unwrap();
     let third = next(&mut master).unwrap();
-    // It is whole again: the first that comes is the stop, and then what lies in the mailbox.
+    // It is intact again: first the stop arrives, and then what is in the mailbox.
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(third + 1)), None, "{third}");
 }
 

@@ -23,7 +23,7 @@ fn a_stop_goes_before_everything_and_keeps_motion_away() {
         let event = reply(&mut master, motor, Shutdown.encode(), ms(2));
         assert_eq!(event, Some(Event::StopConfirmed { motor: id(motor) }));
     }
-    // Motor 7 is not there: it is told 15 times, then the caller is.
+    // Motor 7 is not there: it is sent 15 stops, then the caller is told.
     let mut frames = 1;
     let mut now = 2;
     while master.is_anything_in_flight() {
@@ -78,7 +78,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     let _ = ask(&mut master, 1, Stop, ms(0));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
-    // Whose answer this is nobody knows, so the motor is told once more.
+    // Which stop this answers is not known, so the motor is told once more.
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
     let confirmed = Event::StopConfirmed { motor: id(1) };
@@ -93,7 +93,7 @@ fn a_stop_takes_no_request_its_outcome() {
         sent(&mut master, ms(attempt * 21));
         master.handle_timeout(ms(attempt * 21 + 21));
     }
-    // Given up, but not told yet.
+    // Given up, but not reported yet.
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     let told = events(&mut master, ms(63));
     assert!(told.iter().any(|event| read.outcome(event).is_some()), "{told:?}");
@@ -274,7 +274,7 @@ fn on_rs485_the_living_are_stopped_before_the_dead() {
     assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(Target::Motor(id(4))));
 }
 
-/// Motor 1 has answered once, and no more; motor 2 was told last. Nothing else than that brings motor 2 forward.
+/// Motor 1 has answered once, and no more; motor 2 was told last. Only that brings motor 2 forward.
 #[test]
 fn on_rs485_who_was_heard_once_and_is_silent_now_is_stopped_after_the_living() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
@@ -329,7 +329,7 @@ fn a_stop_that_is_lifted_and_called_again_goes_on_unless_something_moves_the_mot
     }
 }
 
-/// It was put behind the stop, and is older than the next one.
+/// It was put after the stop, and is older than the next one.
 #[test]
 fn a_set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -361,7 +361,7 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     };
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
-    // As whoever leaves a control loop does.
+    // As a caller does that leaves a control loop.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81)], "who was told nothing yet");
     assert_eq!(first_stops(&mut master, ms(102)), [(1, 0x80)]);
@@ -419,7 +419,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     master.broadcast(Stop, id(1).into()).unwrap();
     sent(&mut master, ms(1));
-    // It moves again, and is stopped by itself.
+    // It moves again, and is stopped individually.
     master.set_point(id(1), torque(1.0), ms(1)).unwrap();
     sent(&mut master, ms(1));
     reply(&mut master, 1, TORQUE_REPLY, ms(2)).unwrap();
@@ -545,7 +545,7 @@ fn a_stop_is_confirmed_soon_also_behind_a_move_that_is_waited_for_patiently() {
     }
 }
 
-/// What the motor is asked when the stop takes its place may be answered for as long behind that.
+/// A request whose place the stop takes may be answered for as long after that.
 #[test]
 fn the_late_window_of_what_a_stop_went_over_begins_with_the_stops_own_time_out() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -583,7 +583,7 @@ fn a_stop_that_is_called_for_again_takes_the_place_of_the_callers_own_command() 
     assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// It is the only one that they get, and nobody confirms it.
+/// It is the only one that they get, and no motor confirms it.
 #[test]
 fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));

@@ -127,10 +127,10 @@ fn whom_a_broadcast_may_move_is_stopped_with_all() {
     let both: MotorSet = [1, 2].into_iter().map(id).collect();
     type Put = fn(&mut Master<2>, MotorSet) -> Result<(), RequestError>;
     let puts: [(Put, usize); 3] = [
-        // One to all, who may be more, and one each.
+        // One to all, for motors that are not known, and one each.
         (|master, both| master.broadcast(torque(1.0), both), 3),
         (|master, both| master.broadcast(ReleaseBrake, both), 3),
-        // Who has no place is reached by the one to all.
+        // A motor without a place is reached by the one to all.
         (|master, both| master.broadcast(ReadMultiTurnAngle, both), 1),
     ];
     for (put, stops) in puts {
@@ -155,7 +155,7 @@ fn a_broadcast_that_may_move_more_motors_than_there_is_room_for_is_refused() {
     assert_eq!(master.broadcast(torque(1.0), two), too_many, "motor 3 has a place");
     assert_eq!(sent(&mut master, ms(1)), []);
     assert_eq!(master.motors(), id(3).into(), "nobody was given one for it");
-    // What moves nobody is asked of all, and so is what moves as many as there are places.
+    // A command that moves no motor goes to all, and so does one that moves as many as there are places.
     master.broadcast(ReadMultiTurnAngle, three).unwrap();
     assert_eq!(master.motors(), id(3).into());
     master.handle_bus_down(ms(2));
@@ -203,7 +203,7 @@ fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
         events(&mut master, ms(1)),
         [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }]
     );
-    // It lies in a queue for as long as the bus is down.
+    // It stays in a queue for as long as the bus is down.
     master.handle_bus_down(ms(60));
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(90)).len(), 2, "to all, and to motor 1");
@@ -229,7 +229,7 @@ fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
     for now in 2..10 {
         let told = reply(&mut master, 1, ANGLE_REPLY, ms(now));
         assert!(matches!(told, Some(Event::BroadcastReply { .. })));
-        // As the loops do: what can be sent is sent before the next event is told.
+        // As the loops do: what can be sent is sent before the next event is polled.
         let packets = sent(&mut master, ms(now));
         if packets.iter().any(|packet| packet.data[0] == 0xB5) {
             return;
@@ -261,7 +261,7 @@ fn overtaken_by<C: Command>(command: C, kinds: &[StopKind]) -> (Master<2>, Packe
 
 #[test]
 fn what_is_handed_back_goes_to_all_again_unless_it_would_undo_the_last_stop_of_one_motor() {
-    // What goes beside motor 1's stop, or once that is given up.
+    // What is sent besides motor 1's stop, or once that is given up.
     fn goes<C: Command>(command: C, kinds: &[StopKind]) -> Option<Packet> {
         let (mut master, packet) = overtaken_by(command, kinds);
         master.handle_pushed_out(&packet);
@@ -406,7 +406,7 @@ fn whoever_does_not_answer_what_all_are_asked_has_lost_one_and_who_does_has_answ
     assert_eq!(counts(&master, 2), (1, 1), "too late");
 }
 
-/// Its feedback begins with its id, 0x20, which is what all were told.
+/// Its feedback begins with its id, 0x20, which is also the command that all were sent.
 #[test]
 fn feedback_of_motion_is_no_answer_to_all_whatever_the_id_of_its_motor() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -441,7 +441,7 @@ fn what_holds_all_does_not_wait_for_a_read_that_waits_for_it() {
     assert_eq!(sent(&mut master, ms(0))[0], packet_to_all(Stop.encode()));
 }
 
-/// A motor that was forgotten has no news that all were told to restart.
+/// For a motor that was forgotten, a restart of all is not reported.
 #[test]
 fn who_has_a_place_is_told_of_a_restart_of_all_whoever_was_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -482,7 +482,7 @@ fn a_doubled_answer_to_a_broadcast_is_not_that_to_the_next_request() {
     assert_eq!(ticket.outcome(&doubled), None);
 }
 
-/// A torque goes out behind the answer to a stop of all, and a stop behind that, which is lost.
+/// A torque is sent after the answer to a stop of all, and after that a stop, which is lost.
 #[test]
 fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
     let master = &mut Master::<2>::new(Config::CAN);
@@ -498,8 +498,8 @@ fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
     assert_ne!(doubled, confirmed(1), "it was lost, and the motor turns");
 }
 
-/// A restart that was sent ends a move of all that waits. Whoever sleeps until `poll_at` is woken for that: until then
-/// the requests of all others wait for that move.
+/// A restart that was sent ends a move of all that waits. A caller that sleeps until `poll_at` is woken for that: until
+/// then the requests of all others wait for that move.
 #[test]
 fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else() {
     let master = &mut Master::<2>::new(Config::CAN);
@@ -516,7 +516,7 @@ fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else()
     assert_eq!(packets.len(), 2, "the restart and the angle");
 }
 
-/// The answer to what all were told, which a stop has ended, and the same frame once more.
+/// The answer to a broadcast that a stop has ended, and the same frame once more.
 #[test]
 fn the_double_of_an_answer_to_a_broadcast_that_is_over_confirms_no_stop() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -606,7 +606,7 @@ fn a_late_answer_to_all_does_not_say_that_a_set_point_has_come() {
     assert_eq!(sent(&mut master, us(5_400)).len(), 1);
     assert!(events(&mut master, us(10_800)).contains(&Event::SetPointUnanswered { motor: id(1) }));
     master.handle_line(&line(TORQUE_REPLY), us(15_100));
-    // It is answered when nobody expects those answers any more.
+    // It is answered when those answers are no longer expected.
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, us(15_250)), [packet_to(1, Shutdown.encode())]);
     assert_eq!(events(&mut master, us(16_000)), []);

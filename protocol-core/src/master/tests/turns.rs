@@ -1,4 +1,4 @@
-//! Whose turn it is, until when somebody has to look, and what was left behind.
+//! Whose turn it is, when the caller has to look next, and what was left over.
 
 use super::*;
 
@@ -15,7 +15,7 @@ fn is_to(packets: &[Packet], motor: u8) -> bool {
     matches!(packets, [Packet { channel: Channel::Command(Target::Motor(to)), .. }] if *to == id(motor))
 }
 
-/// A read that nobody answers: its reply may come late.
+/// A read that is not answered: its reply may come late.
 fn give_up<C: Command>(master: &mut Master<2>, command: C, now: u64) {
     let _ = master.request_with(id(1), command, once(5)).unwrap();
     assert_eq!(sent(master, ms(now)).len(), 1);
@@ -103,7 +103,7 @@ fn a_question_to_all_goes_again_when_the_last_one_is_answered_no_more() {
     assert_eq!(master.poll_at(), None, "nobody waits for that");
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(31)), []);
-    // What somebody else says does not put it off: it moves nobody, however late it comes.
+    // What another motor says does not put it off: the command moves no motor, however late it arrives.
     reply(&mut master, 2, MODEL_REPLY, ms(40));
     assert_eq!(sent(&mut master, ms(40)), []);
     let at = ms(10) + TIMEOUT + WINDOW;
@@ -390,7 +390,7 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
             _ => panic!("{others} of 3 at {tick} ms"),
         }
     }
-    // Because a reply could still have waited for the bus: at 3 ms, and behind its second attempt, for one answer may be
+    // Because a reply could still have waited for the bus: at 3 ms, and after its second attempt, for one answer may be
     // lost. Then the silent motor is known, also after its time-out at 42 ms.
     assert_eq!(held_at, [3, 21, 22]);
 }
@@ -571,7 +571,7 @@ fn who_had_to_wait_for_itself_has_no_claim_to_the_turns_of_then() {
             last[usize::from(motor) - 1] = now;
             reply(&mut master, motor, TORQUE_REPLY, ms(now));
         }
-        // After the restart, nobody waits for the other for long.
+        // After the restart, the other is not waited for long.
         let longest = last.iter().map(|at| now - at).max().unwrap();
         assert!(now < 3_000 || longest <= 20, "at {now}: {last:?}");
         packets = sent(&mut master, ms(now));
@@ -640,7 +640,7 @@ fn a_move_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
 }
 
 /// Frames of 125 us, commands before answers and these by id, a FIFO of three, a host that looks at once, and drives
-/// that answer 250 us behind their command: whoever's answer makes way to commands again and again gets behind.
+/// that answer 250 us after their command. A motor whose answer makes way for commands again and again falls behind.
 #[test]
 fn who_waits_for_its_turn_keeps_a_claim_to_it() {
     for motors in 4..=12 {

@@ -47,7 +47,7 @@ fn a_stop_that_was_lifted_goes_no_more() {
     }
 }
 
-/// Nobody has asked yet what became of the stop when the motor is back.
+/// What became of the stop was not polled yet when the motor is back.
 #[test]
 fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -62,7 +62,7 @@ fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
     assert_eq!(events(&mut master, ms(now + 1)), []);
 }
 
-/// Its stop goes again meanwhile. Nobody else has stopped it.
+/// Its stop goes again meanwhile. No caller has stopped it again.
 #[test]
 fn who_asks_a_motor_that_has_not_confirmed_its_stop_is_told_that_it_is_silent() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -141,7 +141,7 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
         } else {
             let _ = master.request(id(1), Shutdown).unwrap();
         }
-        // Nobody hears that, either.
+        // That is not heard either.
         let (off, all) = (packet_to(1, Shutdown.encode()), packet_to_all(Shutdown.encode()));
         for now in now..now + 1_000 {
             let packets = sent(&mut master, ms(now));
@@ -178,7 +178,7 @@ fn a_hold_that_became_a_shutdown_with_all_goes_again_as_a_shutdown() {
         sent(&mut master, ms(now));
         events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) })
     });
-    // Behind that the command to all goes, which it does not hear, either.
+    // After that the command to all goes, which it does not hear either.
     let now = over.unwrap();
     for now in now..now + 200 {
         sent(&mut master, ms(now));
@@ -253,7 +253,7 @@ fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_again() {
         now += 2;
         for at in now..now + 1_000 {
             frames += sent(&mut master, ms(at)).len();
-            // Who stops in every cycle is told all the same, and has no more of them.
+            // A caller that stops in every cycle is told all the same, and gets no more of them.
             if events(&mut master, ms(at)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
                 break;
             }
@@ -430,7 +430,7 @@ fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_firs
     assert_eq!(sent(&mut master, ms(now + 2)), []);
 }
 
-/// Its first goes behind those of others, as its second would.
+/// Its first goes after those of others, as its second would.
 #[test]
 fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -507,9 +507,9 @@ fn the_callers_own_shutdown_leaves_a_shutdown_that_goes_on_its_answers() {
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 52)), confirmed(1));
 }
 
-/// An adapter hands over every 16 ms what it received, and a program lifts its stop and stops again in every cycle.
-/// Of the answers that come together only one is counted off, so that ever more are owed; and each sending of the
-/// stop prolongs for how long they are. The motor answers every stop, and yet it is not confirmed for seconds.
+/// An adapter hands over every 16 ms what it received, and a program lifts its stop and stops again in every cycle. Of
+/// the answers that come together only one is counted, so that ever more seem pending; and each sending of the stop
+/// prolongs how long they are expected. The motor answers every stop, and yet it is not confirmed for seconds.
 #[test]
 fn answers_that_come_together_do_not_keep_a_stop_unconfirmed_for_seconds() {
     let master = &mut Master::<2>::new(Config::CAN);
@@ -549,13 +549,13 @@ fn answers_that_come_together_do_not_keep_a_stop_unconfirmed_for_seconds() {
 fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
     let master = &mut Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    // Nobody polls events; nobody answers.
+    // No events are polled, and no motor answers.
     let mut at = 0;
     while master.motor(id(1)).unwrap().unconfirmed_stop().is_none() {
         sent(master, ms(at));
         at += 1;
     }
-    // It goes once more by itself.
+    // It is sent once more automatically.
     while !master.motor(id(1)).unwrap().is_in_flight() {
         sent(master, ms(at));
         at += 1;
@@ -614,7 +614,7 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
     assert_eq!(sent(&mut master, ms(now + 31)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// A hold that nobody has confirmed goes again as what all were told since. It does not stay so by that.
+/// A hold that was not confirmed is repeated as what all were told since. That alone does not keep the motor off.
 #[test]
 fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -628,7 +628,8 @@ fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     assert!(master.request(id(1), Stop).is_ok());
 }
 
-/// A motor that was told to be off since its hold was given up: the answer to that is late, and of before the next stop.
+/// A motor was told to be off since its hold was given up. The answer to the hold is late, and from before the next
+/// stop.
 #[test]
 fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -665,7 +666,7 @@ fn the_lock_of_a_brake_that_may_not_be_there_ends_no_stop() {
     assert!(is_locked && stops > 0, "{is_locked} {stops}");
 }
 
-/// The ticket of the next one would be told what became of the last.
+/// The outcome of the last one would be reported for the ticket of the next.
 #[test]
 fn no_request_is_taken_before_it_was_told_that_a_stop_went_again_in_place_of_the_last() {
     let mut master = Master::<2>::new(Config::CAN);

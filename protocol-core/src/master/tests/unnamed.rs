@@ -1,10 +1,10 @@
-//! On CAN a command to all may move motors that nobody has named: a stop of all goes to all at once, too.
+//! On CAN a command to all may move motors that were not named: a stop of all then also goes to all at once.
 
 use super::*;
 
 pub(super) const TO_ALL: Channel = Channel::Command(Target::All);
 
-/// All were told to move; motor 1 has a place, and whoever else has heard it has none.
+/// All were told to move. Motor 1 has a place; any others that have heard it have none.
 pub(super) fn all_move() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -14,7 +14,7 @@ pub(super) fn all_move() -> Master<2> {
     master
 }
 
-/// The same a while later: what all were told has come, since the bus carries other answers.
+/// The same a while later: the command to all has arrived, since the bus carries other answers.
 pub(super) fn all_have_moved() -> Master<2> {
     let mut master = all_move();
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(49));
@@ -39,7 +39,7 @@ fn a_stop_of_all_reaches_whom_a_command_to_all_has_moved() {
     let packets = sent(&mut master, ms(100));
     assert_eq!(channels(&packets), [TO_ALL, to(1)], "before each motor's own");
     assert!(packets.iter().all(|packet| packet.data == Stop.encode()));
-    // What all are told that cannot move them asks for no such thing.
+    // A command to all that cannot move them does not call for that.
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -100,7 +100,7 @@ fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
     assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL]);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None);
     assert_eq!(master.health(id(1)).stray, 0);
-    // Not after the stop was lifted, and not where it would switch on who is to be off.
+    // Not after the stop was lifted, and not if it would switch on a motor that is to be off.
     master.lift_stop();
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(103)), []);
@@ -137,7 +137,7 @@ fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
     master.lift_stop();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL, to(1)]);
-    // It would let go whom the newer one holds.
+    // It would let go a motor that the newer one holds.
     master.handle_pushed_out(&older[0]);
     assert_eq!(sent(&mut master, ms(102)), []);
 }
@@ -146,7 +146,7 @@ fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
 fn one_that_waits_is_not_given_up_for_another_that_may_not_go() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
-    // Whom nobody has named has heard nothing yet.
+    // Motors that were not named have heard nothing yet.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     let packets = sent(&mut master, ms(100));
     assert_eq!(channels(&packets), [TO_ALL, to(1), to(2)]);
@@ -192,7 +192,7 @@ fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_
         let packets = sent(&mut master, ms(100));
         master.handle_pushed_out(&packets[0]);
         assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), confirmed(1));
-        // It goes once more, before or beside the request.
+        // It goes once more, before the request or besides it.
         if is_sent_before {
             assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL]);
         }
@@ -207,7 +207,7 @@ fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_
 
 #[test]
 fn who_was_switched_off_with_all_is_switched_on_by_no_hold_of_all() {
-    // Nobody has a place, so that nobody is known to be off.
+    // No motor has a place, so none is known to be off.
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     for (kind, now) in [(StopKind::Off, 0), (StopKind::Hold, 100)] {
         master.stop_all(kind, MotorSet::EMPTY).unwrap();
@@ -257,7 +257,7 @@ fn a_motor_that_hears_no_command_to_all_confirms_like_the_others() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(2), to(1)]);
-    // The move of all may lie in a mailbox yet, as far as anybody knows.
+    // As far as is known, the move of all may still be in a mailbox.
     assert_eq!(reply(&mut master, 2, Stop.encode(), ms(101)), None);
     assert!(channels(&sent(&mut master, ms(170))).contains(&to(2)));
     assert_eq!(reply(&mut master, 2, Stop.encode(), ms(171)), confirmed(2));
@@ -326,7 +326,7 @@ fn a_doubled_answer_to_an_earlier_stop_confirms_none_that_waits() {
 
 #[test]
 fn hold_is_confirmed_once_no_shutdown_of_before_can_come_behind_it() {
-    // It was sent twice and answered once: the other may lie in a mailbox.
+    // It was sent twice and answered once: the other may be in a mailbox.
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -412,14 +412,14 @@ fn one_that_is_handed_back_takes_nothing_from_a_request_of_the_caller() {
 #[test]
 fn a_stop_to_all_that_is_handed_back_is_not_taken_for_a_broadcast_that_never_went() {
     let mut master = Master::<2>::new(Config::CAN);
-    // Lies in a mailbox.
+    // In a mailbox.
     master.broadcast(torque(1.0), id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     let packets = sent(&mut master, ms(1));
     assert_eq!(packets[0], packet_to_all(Shutdown.encode()));
     events(&mut master, ms(1));
-    // One that waits behind that, and is cancelled.
+    // One that waits after that, and is cancelled.
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     master.handle_pushed_out(&packets[0]);
@@ -434,7 +434,7 @@ fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_dou
         master.broadcast(Stop, MotorSet::EMPTY).unwrap();
         let hold_in_mailbox = sent(&mut master, ms(0))[0];
         events(&mut master, ms(0));
-        // Lies in a mailbox, too, and goes last.
+        // Also in a mailbox, and goes last.
         master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
         assert_eq!(sent(&mut master, ms(1)).len(), 1);
         events(&mut master, ms(1));
@@ -529,7 +529,7 @@ fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
     assert!(at.len() > 1 && at.windows(2).all(|at| at[1] - at[0] >= 100), "{at:?}");
 }
 
-/// Nobody has told it to stop yet, though all were.
+/// It has not been told to stop, although all were stopped.
 #[test]
 fn whoever_is_found_without_a_place_while_a_stop_is_in_force_is_stopped_when_it_is_called_again() {
     let mut master = Master::<1>::new(Config::CAN);
@@ -608,7 +608,7 @@ fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     tell_all(&mut master, ReadMultiTurnAngle, ANGLE_REPLY, now);
     assert!(!reaches_all(&mut master, StopKind::Off, now + 2));
-    // Motor 1 was told by itself since, and the others were not.
+    // Motor 1 was told individually since, and the others were not.
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -626,7 +626,7 @@ fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
     assert!(reaches_all(&mut master, StopKind::Hold, now + 2));
 }
 
-/// One of them is off since, or all, whatever others were told behind that.
+/// One of them is off since, or all, whatever others were told after that.
 #[test]
 fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
     fn goes_again(tell: impl FnOnce(&mut Master<2>)) -> bool {
@@ -662,7 +662,7 @@ fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
     }));
 }
 
-/// It was lifted before that, and nothing has moved anybody since; but nobody without a place has heard it.
+/// It was lifted before that, and nothing has moved any motor since; but no motor without a place has heard it.
 #[test]
 fn a_stop_to_all_that_was_handed_back_and_is_lifted_goes_when_it_is_called_again() {
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
