@@ -1,4 +1,4 @@
-//! What every async loop offers, whatever its bus.
+//! What every async loop offers, on any bus.
 
 use core::fmt;
 
@@ -16,30 +16,31 @@ use crate::time::Instant;
 
 /// An async loop that runs a [`Master`] on a bus: [`Runner`](crate::io::Runner) for tasks.
 ///
-/// The bus moves only while one of these futures is awaited. Any of them may be dropped, by a
-/// `select` or a time-out: no event is lost and no frame is sent twice. A request whose
-/// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end. But what a stop
-/// [would refuse](crate::Kind::is_refused_while_stopped), such as a move or a set-point whose feedback was waited for, is
-/// not sent from then on: who knows when the bus moves next? One that the bus has taken already is carried out, as
-/// [`Master::withdraw`] has it: stop the motor.
+/// The bus moves only while one of these futures is awaited. Any of them may be dropped, by a `select` or a time-out:
+/// no event is lost and no frame is sent twice. What becomes of a request whose [`ask`](Self::ask) is dropped:
 ///
-/// Of other events it is as with [`Runner`](crate::io::Runner): a call that waits passes them over.
+/// - In general it stays under way, and the next request waits for its end.
+/// - One that a stop [would refuse](crate::Kind::is_refused_while_stopped), such as a move or a set-point whose
+///   feedback was waited for, is not sent from then on, because the bus may move again at any later time.
+/// - One that the bus has taken already is carried out; see [`Master::withdraw`]. Stop the motor.
+///
+/// As with [`Runner`](crate::io::Runner), a call that waits ignores other events.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
 pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports when it fails.
     type Error: fmt::Debug;
 
-    /// The master that is run.
+    /// The master that this loop runs.
     fn master(&mut self) -> &mut Master<N>;
 
     /// The time now.
     fn now(&self) -> Instant;
 
-    /// Runs the bus until there is an event, or until then if there is none; with no end, until
-    /// there is one. Whatever can be sent is sent, even when `until` is past.
+    /// Runs the bus until there is an event, or until `until` if none comes; with `None`, until there is an event. What
+    /// can be sent is sent, even if `until` is past.
     ///
     /// # Errors
-    /// What the bus driver reports. The master stays sound: call again, which goes on a millisecond later.
+    /// What the bus driver reports. The master stays sound: call again. The next call begins a millisecond later.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
     /// Runs the bus until there is an event.
@@ -54,19 +55,19 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// As [`Runner::run_until`](crate::io::Runner::run_until). When `until` is past, other tasks get a turn.
+    /// As [`Runner::run_until`](crate::io::Runner::run_until). If `until` is past, other tasks get a turn.
     async fn run_until(
         &mut self,
         until: Instant,
         mut on_event: impl FnMut(Event),
     ) -> Result<(), CallError<Self::Error>> {
         let is_late = self.now() >= until;
-        // Whoever is late hears all that has come: what waits goes behind that.
+        // A late loop receives all that has come first; what waits is sent after that.
         while let Some(event) = self.run(Some(until)).await.map_err(CallError::Bus)? {
             on_event(event);
         }
         if is_late {
-            // Of a loop that is always late others would have none: the task of a stop button, say.
+            // Otherwise a loop that is always late would starve other tasks, such as that of a stop button.
             yield_now().await;
         }
         Ok(())
@@ -101,11 +102,10 @@ pub trait AsyncRunner<const N: usize> {
         ask_all(self, questions, None, |_| {}).await
     }
 
-    /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It leaves at the next
-    /// [`run`](Self::run).
+    /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It is sent at the next [`run`](Self::run).
     ///
     /// # Errors
-    /// [`CallError::Refused`], for what is refused there.
+    /// [`CallError::Refused`] for what [`Master::set_point`] refuses.
     fn set_point<C: SetPoint>(
         &mut self,
         motor: MotorId,
@@ -122,7 +122,7 @@ pub trait AsyncRunner<const N: usize> {
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
         self.set_point(motor, command)?;
-        // While it waits nobody else has this loop, so it is the newest.
+        // Nobody else can use this loop while it waits, so this is the newest set-point.
         let waiting = OnDrop::new(self, |runner: &mut &mut Self| {
             runner.master().withdraw_set_point(motor);
         });
@@ -136,24 +136,25 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// As [`Runner::stop`](crate::io::Runner::stop). The stop is in force with the first poll of this future.
+    /// As [`Runner::stop`](crate::io::Runner::stop). The stop is in force from the first poll of this future.
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
         self.master().stop(motor, kind).is_ok() && unconfirmed(self, motor.into()).await.is_empty()
     }
 
-    /// As [`Runner::stop_all`](crate::io::Runner::stop_all). The stop is in force with the first poll of this future, and
-    /// goes on with any other future of this loop if this one is dropped.
+    /// As [`Runner::stop_all`](crate::io::Runner::stop_all). The stop is in force from the first poll of this future.
+    /// If this future is dropped, any other future of this loop goes on with the stop.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
-        // Those that the master has no place for are not stopped, and stay unconfirmed.
+        // Motors that the master has no place for are not stopped, and stay unconfirmed.
         let _ = self.master().stop_all(kind, also);
         let motors = self.master().motors().iter().chain(also.iter()).collect();
         unconfirmed(self, motors).await
     }
 }
 
-/// Runs the bus until each of these motors has confirmed its stop, or not. Gives those that have not.
+/// Runs the bus until each of these motors has confirmed its stop or has failed to. Returns those that have not
+/// confirmed.
 async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
     motors: MotorSet,
@@ -177,7 +178,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     unconfirmed
 }
 
-/// Asks, and waits for what comes of each question. If this is dropped, nobody waits for that any more.
+/// Asks, and waits for the outcome of each question. If this future is dropped, the questions are withdrawn.
 async fn ask_all<R: AsyncRunner<N> + ?Sized, C: Command, const M: usize, const N: usize>(
     runner: &mut R,
     questions: [(MotorId, C); M],

@@ -1,4 +1,4 @@
-//! Leaving a control loop leaves it through the stop.
+//! Whoever leaves a control loop leaves it through the stop.
 
 use core::ops::{Deref, DerefMut};
 
@@ -12,8 +12,8 @@ use crate::io::runner::Runner;
 use crate::master::{Event, Master, MotorSet, StopKind};
 use crate::time::Instant;
 
-/// A loop that stops all motors when it is left: by `?`, `break`, `return`, a panic that unwinds, or at its
-/// end. It is a [`Runner`] itself.
+/// A loop that stops all motors when it is left: by `?`, `break`, `return`, a panic that unwinds, or at its end. It is
+/// a [`Runner`] itself.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::{RawMotion, ReadMultiTurnAngle};
@@ -33,22 +33,25 @@ use crate::time::Instant;
 /// # Ok(()) }
 /// ```
 ///
-/// The motors are [those that have a place](crate::master::Master::motors): whoever was asked, moved or
-/// [found](crate::io::bring_up::scan), and whom a [broadcast](crate::master::Master::broadcast) was expected to move.
+/// The motors are [those that have a place](crate::master::Master::motors): each that was asked, moved or
+/// [found](crate::io::bring_up::scan), or that a [broadcast](crate::master::Master::broadcast) was expected to move.
 ///
-/// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second would be
-/// stopped after that, where the first is cut. [`Guards`] stop several at the same time. Firmware whose watchdog does not
-/// wait for so long calls [`Master::stop_all`] and goes on with its loop, which tells who has confirmed, for as long as it
-/// says itself: while the bus takes nothing there is no event, not even that nobody has.
+/// The guard waits for them for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP). With one guard for each of two buses
+/// in one thread, the second bus is stopped only after that if the first is cut; [`Guards`] stop several at the same
+/// time.
 ///
-/// **Who has not confirmed may be obeying what still lies in a controller when its power comes back**, or its cable: cut
-/// its power, and before that comes back go on running the bus, with the stop in force, or reset the controller (Linux:
-/// `ip link set can0 down`).
+/// If the watchdog of your firmware does not wait that long, call [`Master::stop_all`] and go on with your loop, whose
+/// events report which motors have confirmed. Set a time limit of your own: while the bus takes nothing there is no
+/// event, not even that no motor has confirmed.
 ///
-/// It cannot stop them where nobody leaves it: in a program that is killed, aborts, calls `exit`, is ended by a signal
-/// (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread. For those set
-/// the motors' communication-loss protection (0xB3): it switches them off, also those that a stop holds, when nobody
-/// speaks to them any more.
+/// **A motor that has not confirmed may obey a frame that still lies in a controller** when its power or its cable
+/// comes back. Cut its power. Before the power comes back, go on running the bus with the stop in force, or reset the
+/// controller (Linux: `ip link set can0 down`).
+///
+/// The guard cannot stop the motors if nobody leaves the loop: in a program that is killed, aborts, calls `exit`, is
+/// ended by a signal (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread.
+/// For those cases set the motors' communication-loss protection (0xB3). It switches a motor off when nobody speaks to
+/// it any more, even one that a stop holds.
 #[derive(Debug)]
 #[must_use = "the motors are stopped when it is dropped"]
 pub struct Guard<'a, R: Runner<N>, const N: usize> {
@@ -62,7 +65,7 @@ impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
         Self { bus, kind }
     }
 
-    /// Stops all motors now, and gives those that have not confirmed it: **cut their power**.
+    /// Stops all motors now and returns those that have not confirmed: **cut their power**.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     pub fn finish(self) -> MotorSet {
         let mut guard = core::mem::ManuallyDrop::new(self);
@@ -72,7 +75,7 @@ impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
 }
 
 impl<R: Runner<N>, const N: usize> Drop for Guard<'_, R, N> {
-    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    /// To learn which motors have not confirmed, call [`finish`](Self::finish).
     fn drop(&mut self) {
         let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
     }
@@ -98,12 +101,15 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
     }
 }
 
-/// Several loops, of which all motors are stopped when they are left, as by a [`Guard`] of each, but at the same time: a bus
-/// that is cut holds up no other. A driver that keeps its loop, such as a serial port that takes nothing, does: name it last,
-/// or give it a thread. It is used as the array of the loops; one that is swapped for another is guarded no more.
+/// Several loops whose motors are all stopped when they are left, as by a [`Guard`] of each, but at the same time.
 ///
-/// A bus sends while it is run only: in each cycle all send before any waits, or all but the first are a cycle late. RS485
-/// lines of several motors, which carry one exchange at a time, want a thread or a task each.
+/// - A bus that is cut does not delay the others. A driver that blocks its loop does, such as a serial port that takes
+///   nothing: name it last, or give it a thread.
+/// - `Guards` are used as the array of the loops. A loop that is swapped for another is no longer guarded.
+///
+/// A bus sends only while it is run. So in each cycle let all loops send before any of them waits; otherwise all but
+/// the first are a cycle late. RS485 lines of several motors, which carry one exchange at a time, need a thread or a
+/// task each.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::Torque;
@@ -140,7 +146,7 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
         Self { buses, kind }
     }
 
-    /// Stops all motors of all buses now, and gives those of each that have not confirmed it: **cut their power**.
+    /// Stops all motors of all buses now and returns, for each bus, those that have not confirmed: **cut their power**.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     pub fn finish(self) -> [MotorSet; M] {
         core::mem::ManuallyDrop::new(self).stop()
@@ -148,7 +154,7 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
 
     fn stop(&mut self) -> [MotorSet; M] {
         let kind = self.kind;
-        // In force everywhere before any driver is used, which may panic.
+        // In force on every bus before any driver is used, because a driver may panic.
         for bus in &mut self.buses {
             let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
         }
@@ -160,7 +166,7 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
 }
 
 impl<R: Runner<N>, const M: usize, const N: usize> Drop for Guards<'_, R, M, N> {
-    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    /// To learn which motors have not confirmed, call [`finish`](Self::finish).
     fn drop(&mut self) {
         let _unconfirmed = self.stop();
     }
@@ -180,12 +186,12 @@ impl<R: Runner<N>, const M: usize, const N: usize> DerefMut for Guards<'_, R, M,
     }
 }
 
-/// Runs `work` on an async loop and then stops all motors, however it ends. Gives what comes of it, and the
-/// motors that have not confirmed the stop: **cut their power**.
+/// Runs `work` on an async loop and then stops all motors, however it ends. Returns the result of `work` and the motors
+/// that have not confirmed the stop: **cut their power**.
 ///
-/// Dropped halfway, or left by a panic that unwinds, it can wait for nothing any more, nor send anything: the stop is in
-/// force then, and the first thing that any other future of this loop sends. **Until one runs the motors go on**: call
-/// [`stop_all`](AsyncRunner::stop_all) behind it, which also says who has not confirmed.
+/// If this future is dropped halfway, or left by a panic that unwinds, it can neither wait nor send any more. The stop
+/// is then in force, and is the first thing that any other future of this loop sends. **Until one runs, the motors go
+/// on**: call [`stop_all`](AsyncRunner::stop_all) afterwards, which also returns those that have not confirmed.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::io::{AsyncRunner, guarded};
@@ -209,7 +215,7 @@ pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     work: impl AsyncFnOnce(&mut R) -> T,
 ) -> (T, MotorSet) {
     let working = OnDrop::new(bus, |bus: &mut &mut R| {
-        // Nobody else is to be stopped, so there is a place for all.
+        // `also` is empty, so every motor to be stopped has a place.
         let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
     });
     let result = work(working.it).await;

@@ -9,17 +9,17 @@
 //! | RS485, `embedded_io_async` | [`AsyncSerialMaster`] |
 //! | RS485 with a direction pin | either over [`HalfDuplex`] |
 //!
-//! The loops that poll are [`Runner`]s, the async ones [`AsyncRunner`]s: what works on one bus works
-//! on the other, [`bring_up`] (for tasks [`async_bring_up`]) for example. None of them decides anything: that is the
-//! [`Master`](crate::master::Master)'s.
+//! The loops that poll are [`Runner`]s, the async ones are [`AsyncRunner`]s. What works on one bus works on the other:
+//! [`bring_up`] for example, or [`async_bring_up`] for tasks. The loops decide nothing; the
+//! [`Master`](crate::master::Master) does.
 //!
-//! **One task, or one thread, runs one bus.** Where several tasks want it, one of them owns the loop and does what the
-//! others signal, or send through a channel (`embassy_sync`'s, say), a stop before all else: see the example
-//! `several_tasks` of `myactuator-host-std`, whose `share` does that for threads. Several buses run in a task
-//! each, or in one by a `join` of their futures, as in the example `two_arms`.
+//! **One task, or one thread, runs one bus.** Where several tasks need a bus, one of them owns the loop and carries out
+//! what the others send it by a signal or a channel (from `embassy_sync`, for example), a stop before anything else.
+//! The example `several_tasks` of `myactuator-host-std` shows that; the `share` of that crate does it for threads.
+//! Several buses run in one task each, or in one task that `join`s their futures, as in the example `two_arms`.
 //!
-//! A control loop of eight motors stands in README.md, the whole program in the example `control_loop`
-//! of `myactuator-host-std`.
+//! README.md shows a control loop for eight motors. The whole program is the example `control_loop` of
+//! `myactuator-host-std`.
 
 mod asking;
 pub mod async_bring_up;
