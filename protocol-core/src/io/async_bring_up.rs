@@ -1,8 +1,8 @@
-//! First contact and safe ways of working over any [`AsyncRunner`]: [`bring_up`](crate::io::bring_up) for
-//! tasks, whose functions run these.
+//! First contact and safe ways of working over any [`AsyncRunner`]: [`bring_up`](crate::io::bring_up) for tasks. The
+//! functions there run these.
 //!
-//! A future of these that is dropped leaves off where it is: a motor may have been given its new id and
-//! not have been restarted. Those that move a motor or open its brake put a stop then.
+//! If one of these futures is dropped, its work ends where it is: a motor may have been given its new id and not have
+//! been restarted, for example. Those that move a motor or open its brake then put a stop.
 
 use crate::command::{
     CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,
@@ -46,7 +46,9 @@ pub async fn identify<R: AsyncRunner<N>, const N: usize>(
     })
 }
 
-/// As [`bring_up::zero_here`](crate::io::bring_up::zero_here).
+/// As [`bring_up::zero_here`](crate::io::bring_up::zero_here). If this future is dropped, the motor may be off, with
+/// only its brake to hold a load, and the new zero may be in its ROM, in force from its next start on: read its angle
+/// before it moves.
 pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -62,7 +64,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     keeps_zero(runner, motor, stored).await.map_err(|error| error.behind_a_write(motor))
 }
 
-/// Restarts a drive and sees whether its zero is where it was put.
+/// Restarts a drive and checks that its zero is where it was put.
 async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
