@@ -1,4 +1,4 @@
-//! Opening and locking a holding brake, so that no load falls.
+//! Opens and locks a holding brake so that no load falls.
 
 use crate::command::{
     BrakeCommand, Command, Feedback, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown,
@@ -13,28 +13,28 @@ use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
 
-/// How long a brake takes to open or to lock at the most: 50 to 150 ms were seen of such that open.
+/// How long a brake takes to open or to lock at most. To open, 50 to 150 ms were seen.
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
-/// How often a motor is spoken to that is waited for: its communication-loss protection may be short.
+/// How often a motor that is waited for is spoken to: its communication-loss protection may be short.
 pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
-/// In so long a load turns a shaft that nothing holds.
+/// Within this time a load turns a shaft that nothing holds.
 const LOAD_SHOWS: Duration = Duration::from_millis(200);
-/// How often a brake is told to open that does not answer.
+/// How often a brake that does not answer is told to open.
 const RELEASES: u8 = 3;
-/// How often a brake is told to lock that does not answer, with the time to lock between: what is said then may be lost
-/// for longer than a question is repeated.
+/// How often a brake that does not answer is told to lock, with the time to lock in between: what is sent then may be
+/// lost for longer than a question is repeated.
 const LOCKS: u8 = 2;
-/// How often the bus may fail while a load hangs on what is asked.
+/// How often a question is asked, if the bus fails, while a load depends on its answer.
 const LOOKS: u8 = 10;
 
-/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped from when the brake is
-/// told to open until the motor has confirmed that it holds, the stop is in force, and the first thing that any other
-/// future of the loop sends. Behind that it goes on holding, and nobody looks for errors.
+/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped between telling the
+/// brake to open and the motor's confirmation that it holds, the stop is in force, and is the first thing that any
+/// other future of the loop sends. If it is dropped later, the motor goes on holding, and nobody checks for errors.
 pub async fn release_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    // One that has lost its master obeys the third command (2.31.1).
+    // A drive that has lost its master obeys the third command (2.31.1).
     look(bus, motor, ReadStatus1).await?;
     let before = look(bus, motor, ReadStatus1).await?;
     if has_errors(&before) {
@@ -46,7 +46,7 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     open(bus, motor).await
 }
 
-/// Opens a brake, the motor holding from the beginning, and sees that it does.
+/// Opens a brake while the motor holds from the beginning, and checks that it does hold.
 async fn open<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -58,16 +58,16 @@ async fn open<B: Calls<N>, const N: usize>(
         status if status.brake != BrakeCommand::RELEASE => {
             return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
         }
-        // Somebody has switched it off since, or it does not say.
+        // Somebody has switched it off since; or it draws nothing and does not say what it runs.
         _ if falls(bus, motor).await? => BringUpError::LetGo(motor),
         _ => return Ok(()),
     };
-    // Only the brake can hold the shaft now. What comes of that changes nothing.
+    // Only the brake can hold the shaft now. The outcome of this changes nothing.
     let _ = bus.ask(motor, LockBrake).await;
     Err(fails)
 }
 
-/// Whether the shaft turns, and the motor runs nothing that could hold it, or draws no current where it does not say.
+/// Whether the shaft turns and the motor runs nothing that could hold it or, if it does not say, draws no current.
 async fn falls<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -85,7 +85,7 @@ fn has_errors(status: &Status1) -> bool {
     !status.errors.is_empty()
 }
 
-/// Leaves a motor that holds, or whose stop is in force, unless its brake was not told to open.
+/// Afterwards the motor holds or its stop is in force, unless its brake was not told to open.
 async fn open_and_hold<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -105,8 +105,8 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
         if is_unsent || matches!(told, Err(CallError::Bus(_))) {
             return told;
         }
-        // At once, answered or not: it may open all the same, a load falls then, and behind a locked one a stop may do
-        // nothing.
+        // Right after the release, answered or not: the brake may open all the same, and then a load falls. Not before
+        // it: behind a locked brake a stop may do nothing.
         opening.it.ask(motor, Stop).await?;
         if told.is_ok() {
             opening.end();
@@ -116,7 +116,7 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Gives a brake the time to open or to lock, unless it is over before; how its drive is then.
+/// Gives a brake the time to open or to lock, or until `is_over`, and returns the drive's status then.
 async fn moved<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -124,7 +124,7 @@ async fn moved<B: Calls<N>, const N: usize>(
 ) -> Result<Status1, CallError<B::Error>> {
     let end = bus.now() + BRAKE_MOVES;
     loop {
-        // Without a word its communication-loss protection would lock it, and switch its motor off.
+        // In silence the communication-loss protection would lock the brake and switch the motor off.
         let status = look(bus, motor, ReadStatus1).await?;
         let now = bus.now();
         if now >= end || is_over(&status) {
@@ -134,8 +134,8 @@ async fn moved<B: Calls<N>, const N: usize>(
     }
 }
 
-/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been told to
-/// lock, and nobody looks whether it holds.
+/// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been
+/// told to lock, and nobody checks whether it holds.
 pub async fn lock_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -145,8 +145,8 @@ pub async fn lock_brake<B: Calls<N>, const N: usize>(
     lock_and_look(bus, motor, held).await?.map_or(Ok(()), Err)
 }
 
-/// Switches a motor off, its brake locked before if it has one, and sees that nothing falls. If this future is dropped,
-/// nobody does.
+/// Locks a motor's brake if it has one, switches the motor off, and checks that nothing falls. If this future is
+/// dropped, nobody checks.
 pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -156,7 +156,7 @@ pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
     if held || status.brake != BrakeCommand::LOCK {
         match lock_and_look(bus, motor, held).await? {
             None => {}
-            // It has none, or does not know the command; or something has opened it again.
+            // It has no brake, or does not know the command; or something has opened the brake again.
             Some(
                 BringUpError::BrakeNotLocked { .. }
                 | BringUpError::Call(CallError::Failed { failure: Failure::NoReply, .. }),
@@ -164,10 +164,10 @@ pub(super) async fn switch_off<B: Calls<N>, const N: usize>(
             Some(why) => return Err(why),
         }
     }
-    // Somebody may have had it hold meanwhile.
+    // Somebody may have stopped it meanwhile, to hold.
     check_not_stopped(bus, motor)?;
     let told = bus.ask(motor, Shutdown).await;
-    // It may have obeyed without an answer.
+    // It may have obeyed without answering.
     if held && !matches!(told, Err(CallError::Refused { .. })) {
         stands_by_itself(bus, motor, held).await?;
     }
@@ -182,8 +182,9 @@ pub async fn check_brake<B: Calls<N>, const N: usize>(
     stands_by_itself(bus, motor, false).await
 }
 
-/// Whether the motor may hold its shaft, which stands: it runs something, or draws a current, as one may in motion mode
-/// that says nothing of that. One that turns and runs something, or does not say behind an open brake, is refused.
+/// Whether the motor may hold its shaft, which stands: it runs something, or draws a current. In motion mode it may
+/// draw one and not say that it runs. Refuses a motor that turns and runs something, or that turns behind an open brake
+/// and does not say what it runs.
 async fn may_hold<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -201,7 +202,8 @@ async fn may_hold<B: Calls<N>, const N: usize>(
     }
 }
 
-/// Tells a brake to lock, and sees whether it holds. Gives why it is not locked where the shaft stands all the same.
+/// Tells a brake to lock, and checks whether it holds. If the shaft stands although the brake is not locked, returns
+/// why it is not.
 async fn lock_and_look<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -213,7 +215,7 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
         if let Err(refused @ CallError::Refused { .. }) = told {
             return Err(refused.into());
         }
-        // It may have heard that all the same.
+        // It may have heard the command all the same.
         let says = moved(bus, motor, |_| false).await?.brake;
         stands_by_itself(bus, motor, held).await?;
         locks += 1;
@@ -226,7 +228,8 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
     }
 }
 
-/// Sees whether the shaft stands without its motor. What has held it until then is to hold it again if not.
+/// Checks whether the shaft stands without its motor. If not, a motor that has held it until then is told to hold it
+/// again.
 async fn stands_by_itself<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -239,10 +242,10 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
     Err(BringUpError::BrakeSlips { motor, speed, holds })
 }
 
-/// Opens the brake again, since no drive holds behind a locked one, and has the motor hold. Whether it does, if that is
-/// known.
+/// Opens the brake again, since no drive holds behind a locked one, and tells the motor to hold. Returns whether it
+/// does, if that is known.
 async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
-    // Only an error that is known keeps it from that: it falls meanwhile.
+    // Only a known error prevents this: the load is falling.
     if look(bus, motor, ReadStatus1).await.is_ok_and(|status| has_errors(&status)) {
         return Some(false);
     }
@@ -257,7 +260,7 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
     }
 }
 
-/// How the shaft turns, if it does within so long: at two looks in a row, since one may find it swing.
+/// How the shaft turns, if it does within `time`: at two looks in a row, since a single look may find it swinging.
 async fn turns_within<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -277,7 +280,7 @@ async fn turns_within<B: Calls<N>, const N: usize>(
     }
 }
 
-/// Asks again where the bus fails: a load hangs on what is done then.
+/// Asks again if the bus fails: a load depends on what is done next.
 async fn look<B: Calls<N>, C: Command + Copy, const N: usize>(
     bus: &mut B,
     motor: MotorId,

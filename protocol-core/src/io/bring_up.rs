@@ -353,9 +353,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     block_on(task::release_brake(&mut Polled(runner), motor))
 }
 
-/// Locks the brake of a motor that stands, and waits until it has had the time to (0x78, 2.28). After that the motor can
-/// be switched off; its protection (0xB3), if set, does so when nobody speaks to it any more. Before that, a load falls
-/// until the brake holds.
+/// Locks the brake of a motor that stands, and waits until it has had the time to (0x78, 2.28). After that the motor
+/// can be switched off; its protection (0xB3), if set, does so when nobody speaks to it any more. Before that, a load
+/// falls until the brake holds.
 ///
 /// ```
 /// use myactuator_protocol_core::io::Runner;

@@ -1,9 +1,8 @@
-//! Another id for a motor.
+//! Gives a motor another id.
 //!
-//! Function 5 (0x20) comes first: it names its motor, and every firmware that was met knows it. Where nobody
-//! acknowledges that and the motor is alone, 0x79 follows, which every connected motor obeys. A drive restarts
-//! only when the id is known to be taken, for one that did not take it would come back as it was, and its
-//! shaft be free for nothing.
+//! Function 5 (0x20) comes first: it names its motor, and every firmware seen so far knows it. If nobody acknowledges
+//! that and the motor is alone, 0x79 follows, which every connected motor obeys. A drive is restarted only when the id
+//! is known to be taken. One that did not take it would come back as it was, and its shaft would be free for nothing.
 
 use crate::command::{
     AnyReply, BusId, Command, FunctionControl, ReadMultiTurnAngle, ReadRunTime, ReadStatus1,
@@ -22,16 +21,20 @@ use crate::time::Duration;
 
 /// How long an acknowledgement may take.
 const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
-/// How long a second answer may take behind the first: an adapter may hold it back for 16 ms.
+/// How long after the first answer a second one may come: an adapter may hold it back for 16 ms.
 const SECOND_ANSWER: Duration = Duration::from_millis(25);
-/// How long the first answer may take at least, on a busy machine say.
+/// How long the first answer may take at least, on a busy machine for example.
 const ANSWERED_IN: Duration = Duration::from_millis(100);
-/// How often a question is put that is lost, or whose answers are, as those of two motors on a line.
+/// How often a question is put if it is lost, or if its answers are, like those of two motors on a line.
 const ATTEMPTS: usize = 3;
-/// How often all is asked that tells two motors of one id apart.
+/// How often the questions are put that tell two motors with one id apart.
 const ROUNDS: usize = 3;
 
-/// As [`bring_up::change_id`](crate::io::bring_up::change_id).
+/// As [`bring_up::change_id`](crate::io::bring_up::change_id). If this future is dropped:
+///
+/// - Ids that were asked keep their places in the master, as with [`scan`](crate::io::async_bring_up::scan).
+/// - The motor may be off, with only its brake to hold a load.
+/// - It may have either id, at the latest from its next start on: scan again.
 pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -48,7 +51,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     if there.contains(to) {
         return Err(BringUpError::IdTaken(to));
     }
-    // Both are spoken to, and nothing is written before that can be.
+    // Both ids are spoken to. Nothing is written unless the master has places for them.
     let both = MotorSet::from(from).with(to.into());
     runner.master().has_places_for(both).map_err(CallError::refused(to))?;
     if is_shared(runner, from).await? {
@@ -62,7 +65,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 
-/// Writes the id and has it come into force.
+/// Writes the id and puts it into force.
 async fn write_id<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -74,7 +77,7 @@ async fn write_id<R: AsyncRunner<N>, const N: usize>(
     if !is_taken {
         return Err(BringUpError::IdNotTaken { from, to, is_alone });
     }
-    // Some answer under the new id without that.
+    // Some motors answer under the new id without a restart.
     if !is_there(runner, to).await? {
         restart_what_is_off(runner, from, to).await?;
     }
@@ -99,14 +102,14 @@ async fn is_taken_by_function_5<R: AsyncRunner<N>, const N: usize>(
             is_taken |= (motor == from || motor == to) && data == echo;
         }
     };
-    // It is over when it was sent: drives were seen to take it without an answer.
+    // The command is over when it was sent: drives were seen to take it without an answer.
     runner.ask_with(from, command, None, &mut hear).await?;
     let end = runner.now() + ACKNOWLEDGED_IN;
     runner.run_until(end, hear).await?;
     Ok(is_taken || is_there(runner, to).await?)
 }
 
-/// Whether somebody has acknowledged the id that goes to all who are connected.
+/// Whether somebody has acknowledged the id that goes to all connected motors.
 async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -146,14 +149,14 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
     id: MotorId,
     command: C,
 ) -> Result<bool, CallError<R::Error>> {
-    // Asked again while an answer is late, one motor would answer twice, too.
+    // If a question were put again while its answer is late, one motor would answer twice, too.
     let (kind, usual) = (command.kind(), runner.master().patience(1));
     let patience = Patience { reply_timeout: usual.reply_timeout.max(ANSWERED_IN), ..usual };
     for _ in 0..ATTEMPTS {
         let mut is_once = true;
         let mut hear = |event| match event {
             Event::Stray { motor, .. } if motor == id => is_once = false,
-            // A second 0x9A looks like a report, and one of errors may well be one (function 3).
+            // A second 0x9A looks like a report, and one with errors may well be one (function 3).
             Event::Report { motor, reply } if motor == id && reply.opcode() == kind.opcode() => {
                 is_once &= tells_errors(&reply);
             }

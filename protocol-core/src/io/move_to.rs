@@ -1,4 +1,4 @@
-//! Moving a motor to an angle, watched until it is there.
+//! Moves a motor to an angle and watches it until it is there.
 
 use core::fmt;
 use core::ops::ControlFlow;
@@ -21,18 +21,18 @@ use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque};
 
 /// How often the motor is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// In longer than this a motor may have begun to turn and have come to rest, far from where it was.
+/// If a look takes longer than this, the motor may meanwhile have begun to turn and have come to rest far away.
 const LONGEST_LOOK: Duration = Duration::from_millis(100);
 /// How often its errors are looked at, in looks.
 const ERRORS_EVERY: u32 = 5;
 /// How often a command that names a place is sent if no reply comes.
 const ATTEMPTS: u8 = 3;
-/// A motor stands that has not turned for so long: one that swings stands for a moment, too.
+/// A motor stands if it has not turned for this long. One that swings stands for a moment, too.
 const STANDS_AFTER: Duration = Duration::from_millis(100);
-/// What every way is given, and how many times as long as it should take besides.
+/// Each move is given `START` and `TIMES` as long as it should take.
 const START: Duration = Duration::from_secs(5);
 const TIMES: u64 = 3;
-/// What a motor without a limit of speed is expected to reach.
+/// The speed that a motor without a speed limit is expected to reach.
 const UNLIMITED_DPS: u16 = 90;
 
 /// A command that moves a motor to an angle: 0xA4, 0xA8 or 0xA9.
@@ -40,10 +40,10 @@ pub trait MoveCommand: Command + Copy {
     /// Where it ends, from here; `None` if that is further than an angle can be.
     fn target(&self, here: Angle) -> Option<Angle>;
 
-    /// The fastest turning on the way.
+    /// The highest speed on the way.
     fn max_speed(&self) -> MaxSpeed;
 
-    /// The largest torque on the way, if it limits that.
+    /// The largest torque on the way, if the command limits it.
     fn max_torque(&self) -> Option<MaxTorque> {
         None
     }
@@ -83,49 +83,52 @@ impl MoveCommand for IncrementalPosition {
     }
 }
 
-/// When a move has arrived, and when it has failed.
+/// When a move has arrived, when it has failed, and what happens then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub struct MoveLimits {
-    /// So near to the target, and standing still, the motor has arrived.
+    /// The motor has arrived if it stands still and is no further from the target than this.
     pub tolerance: Angle,
-    /// How long the move may take; `None` for 5 s and three times what the way takes at full speed, or at
-    /// 90 dps where there is no limit of speed.
+    /// How long the move may take. `None` stands for 5 s plus three times what the way takes at full speed, or at 90
+    /// dps if there is no speed limit.
     pub time: Option<Duration>,
-    /// A motor that comes no nearer for so long has stalled. What is less than the tolerance does not count.
+    /// A motor that comes no nearer for this long has stalled. Steps smaller than the tolerance do not count.
     pub stalled_after: Duration,
-    /// What becomes of it then.
+    /// What happens to a motor that has stalled.
     pub when_stalled: WhenStalled,
-    /// How the motor is stopped if it does not arrive, or the move is left halfway. [`StopKind::Hold`] holds where it is
-    /// **with all its torque**, whatever limited that of the move: a gripper that has just met something would crush it
-    /// by as much as its way to rest takes. [`StopKind::Off`] lets go, also where the move was refused before it was sent: a
-    /// load falls that no brake holds, and until that does, which takes its time. Whom another stop holds already is not
-    /// let go by it.
+    /// How the motor is stopped if it does not arrive, or if the move is left halfway.
+    ///
+    /// - [`StopKind::Hold`] holds the motor where it is **with all its torque**, whatever limited the torque of the
+    ///   move. So a gripper crushes what it has just met, by as much as its way to rest takes.
+    /// - [`StopKind::Off`] lets go, even if the move was refused before it was sent. A load falls unless a brake holds
+    ///   it, and until the brake does, which takes its time. A motor that another stop already holds is not let go.
     pub stop: StopKind,
 }
 
-/// What becomes of a motor that has stalled on its way.
+/// What happens to a motor that has stalled on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum WhenStalled {
-    /// It has not arrived, and is [stopped](MoveLimits::stop).
+    /// The move has failed, and the motor is [stopped](MoveLimits::stop).
     #[default]
     Stop,
-    /// It goes on pressing with the torque that the move allows, as a gripper does
-    /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well: its
-    /// [`angle`](MoveProgress::angle) is where it has met something. How hard it meets that is a matter of its speed, of
-    /// which the torque says nothing: let it come slowly. To hold on, send the same command again; another move would
-    /// find that it comes no nearer.
+    /// The motor goes on pressing with the torque that the move allows, as a gripper does
+    /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well. Its [`angle`](MoveProgress::angle)
+    /// is where the motor has met something.
     ///
-    /// It has met something only if it stands, and stands nearer to its target than where the move began. Else the
-    /// move has failed, and it is stopped: one that turns is driven away ([`MoveFailure::Turning`]), and one that
-    /// has never moved was held from the start ([`MoveFailure::Stalled`]), as it is when it grips already.
+    /// How hard it meets that depends on its speed, which the torque does not limit: let it come slowly. To hold on,
+    /// send the same command again; another move would find that the motor comes no nearer.
+    ///
+    /// The motor has met something only if it stands, and stands nearer to its target than where the move began.
+    /// Otherwise the move has failed and the motor is stopped. One that turns is driven away
+    /// ([`MoveFailure::Turning`]). One that has never moved was held from the start ([`MoveFailure::Stalled`]), for
+    /// example because it grips already.
     Press,
 }
 
-/// Within 0.2 degrees, in the usual time, with no more than a second without progress, and else a stop that holds.
+/// Within 0.2 degrees, in the usual time, with at most a second without progress; otherwise a stop that holds.
 impl Default for MoveLimits {
     fn default() -> Self {
         Self {
@@ -147,7 +150,7 @@ pub struct MoveProgress {
     pub from: Angle,
     /// Where it is to end.
     pub target: Angle,
-    /// How long it has taken so far.
+    /// How long the move has taken so far.
     pub time: Duration,
     /// Where the motor is.
     pub angle: Angle,
@@ -170,8 +173,8 @@ pub enum MoveFailure<E> {
         /// Where the motor is.
         here: Angle,
     },
-    /// At most 0 % of the torque (0xA9): the manual does not say what that does, and 0xA2 takes 0 for no limit at
-    /// all. No move was sent.
+    /// The torque limit is 0 % (0xA9). The manual does not say what that does, and for 0xA2 a 0 means no limit. No move
+    /// was sent.
     #[error("a move with at most 0 % of the torque may be one without a limit: give 1 to 255 %")]
     NoTorque,
     /// The drive reports errors.
@@ -212,8 +215,8 @@ pub enum MoveFailure<E> {
         /// Where it is.
         at: Angle,
     },
-    /// It has not answered the move, or nothing since. It may have moved, in part or all the way: see where it is before
-    /// you send a relative move again.
+    /// It has not answered the move, or nothing since. It may have moved, in part or all the way: check where it is
+    /// before you send a relative move again.
     #[error("it was at {at} and does not answer: it may have moved since, in part or all the way")]
     Silent {
         /// Where it was last.
@@ -227,16 +230,16 @@ pub enum MoveFailure<E> {
         /// Where it should be.
         target: Angle,
     },
-    /// The caller gave it up.
+    /// `on_look` gave the move up.
     #[error("the move was given up")]
     GivenUp,
-    /// It is on its way by another call, which goes on: this one has sent it nothing, no stop either. Only handles that
+    /// Another call is moving the motor, and goes on. This call has sent it nothing, not even a stop. Only handles that
     /// threads share know of each other's moves.
     #[error("another move of it is under way and goes on: wait for its end, or stop the motor")]
     UnderWay,
 }
 
-/// A motor has not arrived, and was told to stop for that, unless [another move](MoveFailure::UnderWay) has it.
+/// A motor has not arrived, and was told to stop because of that, unless [another move](MoveFailure::UnderWay) has it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -245,8 +248,8 @@ pub struct NotArrived<E> {
     pub motor: MotorId,
     /// Why.
     pub why: MoveFailure<E>,
-    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**, unless another move
-    /// [is under way](MoveFailure::UnderWay), which has it go on.
+    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**, unless another move [is under
+    /// way](MoveFailure::UnderWay): that one goes on.
     pub is_stopped: bool,
 }
 
@@ -270,8 +273,8 @@ impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
 
 impl<E: fmt::Debug> core::error::Error for NotArrived<E> {}
 
-/// As [`bring_up::move_to`](crate::io::bring_up::move_to). If this future is dropped on the way, the stop is
-/// in force, and the first thing that any other future of the loop sends.
+/// As [`bring_up::move_to`](crate::io::bring_up::move_to). If this future is dropped on the way, the stop is in force,
+/// and is the first thing that any other future of the loop sends.
 pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -310,7 +313,8 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     if command.max_torque() == Some(MaxTorque::from_raw(0)) {
         return Err(MoveFailure::NoTorque);
     }
-    // Two questions, since a drive that has lost its master obeys only when it hears it steadily (2.31.1).
+    // Several questions come before the move: a drive that has lost its master obeys only when it is spoken to steadily
+    // (2.31.1).
     let errors = bus.ask(motor, ReadStatus1).await?.errors;
     if !errors.is_empty() {
         return Err(MoveFailure::Fault(errors));
@@ -320,7 +324,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     let from = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
     let mut last = Look { at: begun, angle: from, dps: 0 };
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
-    // One that names a place may be sent again.
+    // A command that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
     bus.ask_often(motor, command, Some(attempts)).await.map_err(|error| match error {
         CallError::Failed { failure: Failure::NoReply, .. } => MoveFailure::Silent { at: from },
@@ -339,7 +343,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let angle = reading.map_err(unseen_since(last.angle))?.angle;
         let feedback = bus.ask(motor, ReadStatus2).await.map_err(unseen_since(angle))?;
         let look = Look { at, angle, dps: feedback.speed.raw().unsigned_abs() };
-        // What turned while nobody looked, because the caller took its time, was as fast as nobody knows.
+        // If the caller took its time, nobody looked meanwhile, and the motor may have turned at any speed.
         let is_sure = bus.now() - last.at <= LONGEST_LOOK;
         if look.has_jumped_from(&last, bus.now())
             && (is_sure
@@ -348,7 +352,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
             bus.note_restart(motor);
         }
         last = look;
-        // After a restart its target is not where it was.
+        // After a restart the target is no longer where it was.
         bus.may_move(motor).map_err(CallError::refused(motor))?;
         let now = bus.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
@@ -359,7 +363,8 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
         let is_over = has_arrived || has_stalled || is_time_up;
-        // An error may have come just now: then it holds nothing where it stands, or comes no nearer for that.
+        // An error may just have come. Then the motor does not hold where it stands, or comes no nearer because of the
+        // error.
         if looks % ERRORS_EVERY == 0 || is_over {
             let errors = bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?.errors;
             if !errors.is_empty() {
@@ -390,17 +395,17 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     }
 }
 
-/// Why a look has failed at one that was last seen there.
+/// Why a look at a motor that was last seen at `at` has failed.
 fn unseen_since<E>(at: Angle) -> impl Fn(CallError<E>) -> MoveFailure<E> {
     move |error| match error {
-        // It had heard nothing for too long, and has ended the move by itself.
+        // It had heard nothing for too long, and has ended the move on its own.
         CallError::Failed { failure: Failure::NotExecuted, .. } => MoveFailure::LetGo { at },
         CallError::Failed { failure: Failure::NoReply, .. } => MoveFailure::Silent { at },
         error => error.into(),
     }
 }
 
-/// What has become of a motor that comes no nearer.
+/// The outcome for a motor that comes no nearer.
 fn end_of_stall<E>(
     progress: MoveProgress,
     limits: &MoveLimits,
@@ -430,8 +435,8 @@ struct Look {
 }
 
 impl Look {
-    /// Whether it is half a turn further from where it was than it can have turned, at twice the speed that was seen:
-    /// then its turns were lost.
+    /// Whether the motor is more than half a turn further from its last place than it can have turned at twice the
+    /// speed that was seen: then it has lost its turns.
     fn has_jumped_from(&self, last: &Self, now: Instant) -> bool {
         let dps = 2 * u64::from(self.dps.max(last.dps));
         let most_hundredths = 18_000 + dps * (now - last.at).as_micros() / 10_000;
@@ -439,14 +444,14 @@ impl Look {
     }
 }
 
-/// How near the motor came so far, and when.
+/// How near the motor has come so far, and when.
 struct Nearest {
     distance: u32,
     since: Instant,
 }
 
 impl Nearest {
-    /// Whether it has come no nearer for so long: what is less than the tolerance does not count.
+    /// Whether it has come no nearer for `after`. Steps smaller than the tolerance do not count.
     fn has_stalled(
         &mut self,
         distance: u32,
@@ -461,7 +466,7 @@ impl Nearest {
     }
 }
 
-/// When the motor turned last, and how fast.
+/// When the motor last turned, and how fast.
 struct LastTurn {
     at: Instant,
     speed: CoarseSpeed,
@@ -474,14 +479,14 @@ impl LastTurn {
         }
     }
 
-    /// Whether it may be turning yet. What turned when it came nearer last has had all the time to come to rest that
-    /// the caller gives it.
+    /// Whether it may still be turning. Since it last came nearer it has had `stalled_after`, all the time that the
+    /// caller gives it to come to rest, so that bounds this.
     fn is_recent(&self, now: Instant, stalled_after: Duration) -> bool {
         now - self.at <= STANDS_AFTER.min(stalled_after)
     }
 }
 
-/// How long a motor usually takes at the most.
+/// How long a motor usually takes at most.
 fn usual_time(from: Angle, to: Angle, max_speed: MaxSpeed) -> Duration {
     let dps = match max_speed.raw() {
         0 => UNLIMITED_DPS,

@@ -1,4 +1,4 @@
-//! Who is there.
+//! Finds out which motors are there.
 
 use crate::command::ReadStatus1;
 use crate::error::RequestError;
@@ -17,14 +17,14 @@ use crate::time::Duration;
 const ATTEMPTS: u8 = 2;
 
 /// As [`bring_up::scan`](crate::io::bring_up::scan). If this future is dropped on the way, ids that were asked keep
-/// their places in the master, also those without a motor: a stop of all waits for them, and the next scan may find no
-/// place free, until they are [forgotten](crate::master::Master::forget).
+/// their places in the master, even those without a motor. Until these are [forgotten](crate::master::Master::forget),
+/// a stop of all waits for them, and the next scan may find no free place.
 pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
     on_answer: impl FnMut(MotorId, bool),
 ) -> Result<MotorSet, CallError<R::Error>> {
-    // However this ends.
+    // However this ends, a stop of all is for the motors that were found.
     let mut scan = OnDrop::new((runner, MotorSet::EMPTY), |(runner, found): &mut (&mut R, _)| {
         runner.master().note_found(*found);
     });
@@ -33,7 +33,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     Ok(*found)
 }
 
-/// Finds out who is there, and leaves the master the places that it had free.
+/// Finds out which motors are there, and leaves the master the places that it had free.
 pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
@@ -43,10 +43,10 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
     let (mut waiting, mut asked) = (candidates, MotorSet::EMPTY);
-    // Why no more are asked. The answers of who was asked are waited for all the same: nobody else takes back the places
-    // of ids without a motor.
+    // Why no more are asked. The answers of those that were asked are still waited for: nothing else takes back the
+    // places of ids without a motor.
     let mut given_up = None;
-    // Until when, and until when somebody who is busy is waited for while nobody is asked.
+    // Until when those answers are waited for; and until when a busy motor is waited for while no other is asked.
     let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
@@ -56,9 +56,9 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
                     asked.insert(motor);
                 }
                 Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
-                // It is asked again when the request under way is over. A stop on a bus that is down may never be.
+                // It is asked again when the request under way ends. A stop on a bus that is down may never end.
                 Err(RequestError::Busy) if !asked.is_empty() || runner.now() < turn_ends => {}
-                // What reports by itself is there.
+                // A motor that reports on its own is there.
                 Err(RequestError::Reported(_)) => {
                     waiting.remove(motor);
                     found.insert(motor);
@@ -92,7 +92,7 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
             Event::Failed { ticket, failure } => (ticket.motor(), shows_motor(failure)),
-            // Whatever it says: one that reports by itself may answer nothing.
+            // Whatever it says: a motor that reports on its own may answer nothing.
             Event::Report { motor, .. }
             | Event::LostMaster { motor }
             | Event::Stray { motor, .. } => (motor, true),
@@ -114,7 +114,7 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     given_up.map_or(Ok(()), Err)
 }
 
-/// Whether there is a motor that was asked in vain: it has said something.
+/// Whether a motor that was asked in vain is there: it has said something.
 fn shows_motor(failure: Failure) -> bool {
     matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted)
 }
@@ -127,7 +127,7 @@ pub async fn is_there<B: Calls<N>, const N: usize>(
     bus.is_there(motor).await
 }
 
-/// Whether anything answers; the id keeps its place in the master.
+/// Whether anything answers under this id, which keeps its place in the master.
 pub(super) async fn answers<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -151,7 +151,7 @@ pub async fn wait_until_there<B: Calls<N>, const N: usize>(
         if now >= deadline {
             return Err(BringUpError::NotThere(motor));
         }
-        // A bus that takes nothing answers at once.
+        // On a bus that takes nothing the outcome comes at once.
         bus.wait_until(now + SPOKEN_TO_EVERY).await?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! A drive that is to restart.
+//! Restarts a drive.
 
 use crate::command::{LockBrake, ReadRunTime, Reset};
 use crate::id::MotorId;
@@ -11,14 +11,16 @@ use crate::io::standing::check_not_stopped;
 use crate::master::Failure;
 use crate::time::{Duration, Instant};
 
-/// How often a drive is told to restart that goes on running.
+/// How often a drive that goes on running is told to restart.
 const RESTARTS: u8 = 3;
-/// How long a motor is asked whether it is there that is to restart: a line may be out for as long.
+/// How long a motor that is to restart is asked whether it is there: a line may be out for as long.
 const LONGEST_SILENCE: Duration = Duration::from_millis(200);
 /// How long a drive may take to answer again.
 const LONGEST_RESTART: Duration = Duration::from_secs(5);
 
-/// As [`bring_up::restart`](crate::io::bring_up::restart).
+/// As [`bring_up::restart`](crate::io::bring_up::restart). If this future is dropped, the motor may be off, with only
+/// its brake to hold a load, or have restarted; moves may then be refused until
+/// [`resume`](crate::master::Master::resume): read its angle first.
 pub async fn restart<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -31,14 +33,14 @@ pub async fn restart<B: Calls<N>, const N: usize>(
         Err(error) => return Err(error),
     };
     if !is_there {
-        // It may hear all the same.
+        // It may still hear.
         is_there = bus.ask(motor, LockBrake).await.is_ok();
         let locked = bus.now() + BRAKE_MOVES;
         bus.wait_until(locked).await?;
     }
     if is_there {
         match switch_off(bus, motor).await {
-            // It falls all the same; an error that keeps it from holding goes with the restart.
+            // The load falls in any case; an error that keeps the motor from holding ends with the restart.
             Ok(()) | Err(BringUpError::BrakeSlips { holds: Some(false), .. }) => {}
             Err(error) => return Err(error),
         }
@@ -46,7 +48,7 @@ pub async fn restart<B: Calls<N>, const N: usize>(
     restart_what_is_off(bus, motor, then).await
 }
 
-/// The same, of a motor that holds nothing.
+/// The same for a motor that holds nothing.
 pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -54,7 +56,7 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     let mut fails = BringUpError::NotRestarted(motor);
     for _ in 0..RESTARTS {
-        // One with a new id may answer under that already; one that does not answer may hear all the same.
+        // A motor with a new id may already answer under that one; a motor that does not answer may still hear.
         let ran = match then == motor {
             true => match bus.ask(motor, ReadRunTime).await {
                 Ok(reply) => reply.run_time.into(),
@@ -67,7 +69,7 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
         bus.ask(motor, Reset).await?;
         let there = match wait_until_there(bus, then, LONGEST_RESTART).await {
             Err(BringUpError::NotThere(_)) if then != motor && bus.is_there(motor).await? => motor,
-            // It may hear the old id and answer as the new one.
+            // It may hear the old id and answer under the new one.
             Err(BringUpError::NotThere(_)) if then != motor => {
                 fails = BringUpError::NotThere(then);
                 continue;
@@ -76,7 +78,7 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
         };
         let has_restarted = there != motor || has_started_since(bus, motor, told_at, ran).await?;
         if has_restarted {
-            // It was meant to.
+            // This restart was intended.
             bus.resume(there);
             return if there == then { Ok(()) } else { Err(BringUpError::NotThere(then)) };
         }
@@ -84,8 +86,9 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
     Err(fails)
 }
 
-/// Whether its drive has started since then, when it had run for so long. The master concludes from the same answer what
-/// it can, but a handle hears of that later than of the answer, and whether a drive has obeyed 0x76 it does not ask.
+/// Whether the drive has started since `then`, when it had run for `ran`. The master concludes what it can from the
+/// same answer, but a handle learns of that later than of the answer, and the master does not ask whether a drive has
+/// obeyed 0x76.
 pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -93,6 +96,6 @@ pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
     ran: Duration,
 ) -> Result<bool, CallError<B::Error>> {
     let runs = Duration::from(bus.ask(motor, ReadRunTime).await?.run_time);
-    // Else it is longer by all that it had run before. Its clock need not agree with ours.
+    // Without a restart its run time would be longer by `ran`. Half of that allows for a clock that differs from ours.
     Ok(runs.times(2) <= (bus.now() - then).times(2) + ran)
 }

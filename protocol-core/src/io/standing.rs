@@ -11,7 +11,7 @@ use crate::units::CoarseSpeed;
 /// Up to this speed a shaft stands, degrees per second.
 const STANDS_DPS: u16 = 2;
 
-/// Refuses what a stop refuses, before a motor that it holds is switched off.
+/// Refuses a stopped motor, before a motor that the stop holds is switched off.
 pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -22,7 +22,7 @@ pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
     }
 }
 
-/// Refuses a motor that turns: switched off, it would run on.
+/// Refuses a motor that turns: if it were switched off, it would run on.
 pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -31,14 +31,14 @@ pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
     if turns(speed) { Err(BringUpError::Turns { motor, speed }) } else { Ok(()) }
 }
 
-/// Whether the motor runs something, so that it can stop or hold its shaft; not every drive answers that.
+/// Whether the motor runs something, so that it can stop or hold its shaft; `None` if it does not answer that.
 pub(super) async fn runs<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
-    // Once: a short protection does not outlast more.
+    // Asked once: a short protection does not outlast more.
     let reply = bus.ask_often(motor, ReadRunningMode, Some(1)).await;
     reply.map(|reply| reply.mode.runs()).ok()
 }
 
-/// Whether a motor that reports this speed turns: up to 2 dps it stands, since feedback may flicker by a step.
+/// Whether a motor that reports this speed turns. Up to 2 dps it stands, since feedback may flicker by a step.
 pub fn turns(speed: CoarseSpeed) -> bool {
     speed.raw().unsigned_abs() > STANDS_DPS
 }
