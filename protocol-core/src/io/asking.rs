@@ -1,4 +1,4 @@
-//! What a call that waits for an answer goes through.
+//! The course of a call that waits for an answer.
 
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
@@ -18,7 +18,7 @@ pub enum CallError<E> {
     /// The command could not be sent as asked.
     #[error("motor {motor}: {refusal}")]
     Refused {
-        /// Whom it was for.
+        /// The motor that it was for.
         motor: MotorId,
         /// Why it could not be sent.
         refusal: RequestError,
@@ -26,7 +26,7 @@ pub enum CallError<E> {
     /// It was sent, and has no answer.
     #[error("motor {motor}: {failure}")]
     Failed {
-        /// Who was asked.
+        /// The motor that was asked.
         motor: MotorId,
         /// Why there is no answer.
         failure: Failure,
@@ -34,13 +34,13 @@ pub enum CallError<E> {
 }
 
 impl<E> CallError<E> {
-    /// Makes of what the [`Master`] refuses the error of a call: `.map_err(CallError::refused(motor))`.
+    /// Turns a refusal of the [`Master`] into the error of a call: `.map_err(CallError::refused(motor))`.
     pub fn refused(motor: MotorId) -> impl Fn(RequestError) -> Self {
         move |refusal| Self::Refused { motor, refusal }
     }
 }
 
-/// Questions, each of which is put as soon as its motor is free for it.
+/// Several questions. Each is put as soon as its motor is free for it.
 pub(super) struct Askings<C: Command, E, const M: usize> {
     all: [Asking<C, E>; M],
     patience: Option<Patience>,
@@ -51,7 +51,7 @@ pub(super) struct Askings<C: Command, E, const M: usize> {
 struct Asking<C: Command, E> {
     motor: MotorId,
     command: C,
-    /// Once it was put.
+    /// `None` until the question is put.
     ticket: Option<Ticket<C>>,
     outcome: Option<Outcome<C, E>>,
 }
@@ -68,7 +68,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         Self { all: questions.map(asking), patience, latest_turn: now + LONGEST_TURN }
     }
 
-    /// Puts those that can be put; a motor may be busy, for a while. Gives whether any of them is still open.
+    /// Puts those that can be put; a motor may be busy for a while. Returns whether any of them is still open.
     pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         let (patience, may_wait) = (self.patience, now < self.latest_turn);
         for it in self.open().filter(|it| it.ticket.is_none()) {
@@ -83,7 +83,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         self.open().next().is_some()
     }
 
-    /// Nobody waits for their answers any more.
+    /// Withdraws the questions: nobody waits for their answers any more.
     pub(super) fn withdraw<const N: usize>(&self, master: &mut Master<N>) {
         self.all.iter().filter_map(|it| it.ticket).for_each(|ticket| master.withdraw(ticket.id()));
     }
@@ -94,7 +94,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         self.open().any(|it| it.ticket.is_none()).then_some(latest)
     }
 
-    /// Gives whether the event is what came of one of them.
+    /// Returns whether the event is the outcome of one of them.
     pub(super) fn note(&mut self, event: &Event) -> bool {
         self.open().any(|it| {
             let failed = |failure| CallError::Failed { motor: it.motor, failure };
@@ -104,14 +104,14 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         })
     }
 
-    /// The bus has failed, which one of them is reported. The others may have been sent, and go on.
+    /// The bus has failed, which is the outcome of one of them. The others may have been sent, and go on.
     pub(super) fn bus_has_failed(&mut self, error: E) {
         if let Some(it) = self.open().next() {
             it.outcome = Some(Err(CallError::Bus(error)));
         }
     }
 
-    /// What came of each, once none is open.
+    /// The outcome of each, once none is open.
     pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
         self.all.each_mut().map(|it| {
             let bus_is_down = CallError::Failed { motor: it.motor, failure: Failure::BusDown };
@@ -124,19 +124,19 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
     }
 }
 
-/// What an event says of a motor's newest set-point; nothing while it is under way.
+/// What an event says of a motor's newest set-point; `None` while that is under way.
 pub(super) fn outcome_of_set_point<C: SetPoint, const N: usize>(
     master: &Master<N>,
     motor: MotorId,
     event: &Event,
 ) -> Option<Result<C::Reply, Failure>> {
     match event {
-        // The motor was stopped or the bus is down, or it grew too old. An earlier one may be in flight yet.
+        // The motor was stopped, the bus is down, or the set-point grew too old. An earlier one may still be in flight.
         _ if master.is_newest_set_point_dropped(motor) => Some(Err(Failure::Dropped)),
-        // What is told of a set-point now was that of an earlier one.
+        // What is reported now is the outcome of an earlier set-point.
         _ if master.has_set_point_under_way(motor) => None,
         Event::SetPointUnanswered { motor: from } if *from == motor => Some(Err(Failure::NoReply)),
-        // Of another kind is the late feedback of an earlier set-point.
+        // Feedback of another kind is the late feedback of an earlier set-point.
         Event::Feedback { motor: from, reply } if *from == motor => {
             C::decode_reply(&reply.encode()).ok().map(Ok)
         }

@@ -15,7 +15,7 @@ use crate::io::rest::rest;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 
-/// An async CAN controller: what embedded-can has no trait for.
+/// An async CAN controller, for which embedded-can has no trait.
 ///
 /// The drivers of the HALs have these two functions under other names, often on two halves:
 ///
@@ -62,20 +62,20 @@ pub trait AsyncCan {
     /// What the driver reports when it fails.
     type Error: embedded_can::Error;
 
-    /// Gives a frame to the controller and is done once it has taken it, that is, once it lies in a
-    /// mailbox or queue. It must not wait until the frame is on the bus: one frame would be on its
-    /// way at a time. Gives the frame that had to make way for it, if one had.
+    /// Hands a frame to the controller. Completes once the controller has taken the frame into a mailbox or queue, and
+    /// returns the frame that had to make way for it, if one had. It must not wait until the frame is on the bus: then
+    /// only one frame at a time would be in flight.
     ///
-    /// It is polled once, and dropped if it is not done then: the controller takes nothing. A frame whose future
-    /// was dropped must not have been taken: it is offered again, unless something more urgent is, when the
-    /// task is woken, which a controller that has room again does at best, or after a millisecond. A controller that
-    /// needs more than one poll to take a frame, behind SPI for example, gets a task of its own and a channel.
+    /// It is polled once. If it is pending then, it is dropped, and the controller counts as taking nothing. A frame
+    /// whose future was dropped must not have been taken. The frame, or a more urgent one, is offered again when the
+    /// task is woken, or after a millisecond. So a controller should wake the task when it has room again. A controller
+    /// that needs more than one poll to take a frame, behind SPI for example, gets a task of its own and a channel.
     async fn transmit(&mut self, frame: &Self::Frame) -> Result<Option<Self::Frame>, Self::Error>;
 
     /// The next frame from the bus.
     ///
-    /// It is dropped and called anew all the time, after one poll for the most part. Dropping must lose no frame:
-    /// one that arrives later, or has arrived, is for the next call.
+    /// It is dropped and called again all the time, mostly after one poll. Dropping must lose no frame: one that
+    /// arrives later, or has arrived, is for the next call.
     async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
 }
 
@@ -97,7 +97,7 @@ pub struct AsyncCanMaster<C: AsyncCan, K, const N: usize> {
     can: C,
     clock: K,
     pump: Pump<N>,
-    /// What came while the task waited.
+    /// What was received while the task waited.
     received: Option<Result<C::Frame, C::Error>>,
 }
 
@@ -107,7 +107,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
         Self { can, clock, pump: Pump::new(config), received: None }
     }
 
-    /// The controller and the clock back.
+    /// Returns the controller and the clock.
     pub fn release(self) -> (C, K) {
         (self.can, self.clock)
     }
@@ -150,7 +150,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
     }
 }
 
-/// An async controller as one that never waits.
+/// Makes an async controller one that never waits.
 struct PolledOnce<'a, 'b, C: AsyncCan> {
     can: &'a mut C,
     received: &'a mut Option<Result<C::Frame, C::Error>>,

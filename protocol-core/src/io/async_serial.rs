@@ -18,14 +18,14 @@ use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::rs485::FRAME_LENGTH;
 
-/// Runs a [`Master`] on an async serial port with an RS485 transceiver. Where the port does not
-/// switch the transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
+/// Runs a [`Master`] on an async serial port with an RS485 transceiver. If the port does not switch the transceiver's
+/// direction on its own, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
 ///
-/// The port's `read` must be cancel-safe: dropping its future may lose no byte. Ports with a buffer
-/// of their own are (embassy's `BufferedUart`, its `RingBufferedUartRx`); those that read by DMA
-/// straight to the caller's memory are not.
+/// The port's `read` must be cancel-safe: dropping its future must lose no byte. Ports with a buffer of their own are
+/// (embassy's `BufferedUart`, its `RingBufferedUartRx`). Ports that read by DMA straight to the caller's memory are
+/// not.
 ///
-/// Its `flush` must wait until the last byte has left.
+/// The port's `flush` must wait until the last byte has left.
 #[derive(Debug)]
 pub struct AsyncSerialMaster<S: ErrorType, K, const N: usize> {
     serial: S,
@@ -34,7 +34,7 @@ pub struct AsyncSerialMaster<S: ErrorType, K, const N: usize> {
     line: Line,
     /// What was read to the line's space while the task waited.
     read: Option<Result<usize, S::Error>>,
-    /// A sending was cut short: the port is to be flushed, so that it turns to receiving.
+    /// A transmission was cut short: the port must be flushed, so that it turns to receiving.
     unflushed: bool,
 }
 
@@ -45,17 +45,17 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         Self { serial, clock, pump, line, read: None, unflushed: false }
     }
 
-    /// How often bytes came that are no frame: noise, or answers that collide, as those of two motors with one id.
+    /// How often bytes came that are no frame: noise, or answers that collide, such as those of two motors with one id.
     pub const fn garbled(&self) -> u32 {
         self.line.garbled
     }
 
-    /// The port and the clock back.
+    /// Returns the port and the clock.
     pub fn release(self) -> (S, K) {
         (self.serial, self.clock)
     }
 
-    /// One round of the pump, and what it has to send.
+    /// Runs one round of the pump, and sends what it has to send.
     async fn round(&mut self) -> Result<Option<Event>, S::Error> {
         let Self { serial, clock, pump, line, read, .. } = self;
         let (now, mut outgoing) = (clock.now(), None);
@@ -74,7 +74,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         self.unflushed = true;
         let Self { serial, clock, pump, line, .. } = self;
         let until = clock.now() + STUCK_AFTER;
-        // It counts as sent also when this future is dropped: some of it may have left, and nothing is sent twice.
+        // Even if this future is dropped the frame counts as sent: part of it may have left, and nothing is sent twice.
         let mut sending = OnDrop::new(
             (&mut pump.master, line, clock, bytes.as_slice()),
             |(master, line, clock, rest): &mut (&mut Master<N>, &mut Line, &mut K, &[u8])| {
@@ -83,7 +83,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         );
         let (_, _, clock, rest) = &mut sending.it;
         let outcome = select(write(serial, rest), clock.wait_until(until)).await;
-        // What the port has taken may be heard, and answered, whatever fails then.
+        // What the port has taken may be heard and answered, even if writing then fails.
         match rest.len() < bytes.len() {
             true => drop(sending),
             false => sending.end(),
@@ -101,7 +101,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         is_taken.map(|_| ())
     }
 
-    /// Ends a sending that was cut short.
+    /// Ends a transmission that was cut short.
     async fn settle(&mut self) -> Result<(), S::Error> {
         if self.unflushed {
             let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
@@ -114,8 +114,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
     }
 }
 
-/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
-/// which embedded-io forbids.
+/// Writes all of `rest` and waits until it has left. `false` if the port takes nothing, which embedded-io forbids.
 async fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
     while !rest.is_empty() {
         match serial.write(rest).await? {
@@ -159,8 +158,8 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
     }
 }
 
-/// An async port as one that never waits. What is to be sent is sent after the round: to drop a frame half-way
-/// would send a part of it.
+/// Makes an async port one that never waits. What is to be sent is sent after the round: a frame that is dropped
+/// halfway would leave in part.
 struct PolledOnce<'a, 'b, S: ErrorType> {
     serial: &'a mut S,
     line: &'a mut Line,

@@ -1,4 +1,4 @@
-//! What a way of working needs that goes on for longer, with one motor.
+//! What a way of working with one motor needs.
 
 use core::fmt;
 
@@ -11,10 +11,10 @@ use crate::io::presence::answers;
 use crate::master::StopKind;
 use crate::time::Instant;
 
-/// A bus as ways of working with one motor need it: [`move_to`](crate::io::async_bring_up::move_to),
+/// A bus as needed by the ways of working with one motor: [`move_to`](crate::io::async_bring_up::move_to),
 /// [`restart`](crate::io::async_bring_up::restart), [`protect`](crate::io::async_bring_up::protect) and those with a
-/// brake. Every [`AsyncRunner`] is one, and a handle to a loop that another thread runs may be: then `N` is of no
-/// consequence.
+/// brake. Every [`AsyncRunner`] is one. A handle to a loop that another thread runs may be one, too; `N` then has no
+/// meaning.
 #[allow(async_fn_in_trait, reason = "one task goes one way, so nothing asks for Send")]
 pub trait Calls<const N: usize> {
     /// What the bus driver reports when it fails.
@@ -23,14 +23,14 @@ pub trait Calls<const N: usize> {
     /// The time now.
     fn now(&mut self) -> Instant;
 
-    /// Waits until then, whatever happens meanwhile.
+    /// Waits until the time `until`, whatever happens meanwhile.
     ///
     /// # Errors
     /// [`CallError::Bus`].
     async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Self::Error>>;
 
-    /// Sends a command to one motor and waits for its answer; if there is none, so often at the most, or as often as is
-    /// usual for this command.
+    /// Sends a command to one motor and waits for its answer. If there is none, sends it up to `attempts` times; with
+    /// `None`, as often as is usual for this command.
     ///
     /// # Errors
     /// [`CallError`].
@@ -41,7 +41,7 @@ pub trait Calls<const N: usize> {
         attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<Self::Error>>;
 
-    /// As [`ask_often`](Self::ask_often), as often as is usual.
+    /// As [`ask_often`](Self::ask_often), with the usual number of attempts.
     async fn ask<C: Command>(
         &mut self,
         motor: MotorId,
@@ -50,32 +50,32 @@ pub trait Calls<const N: usize> {
         self.ask_often(motor, command, None).await
     }
 
-    /// Stops a motor, and waits until it has confirmed that, or not: see
-    /// [`Master::stop`](crate::master::Master::stop).
+    /// Stops a motor and returns whether it has confirmed that; see [`Master::stop`](crate::master::Master::stop).
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool;
 
-    /// Stops a motor, and waits for nothing.
+    /// Stops a motor without waiting.
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind);
 
-    /// Whether a motor would be refused a move now: it was stopped, or has restarted.
+    /// Whether a motor would accept a move now.
     ///
     /// # Errors
-    /// [`RequestError::Stopped`], [`RequestError::Restarted`].
+    /// [`RequestError::Stopped`] if it was stopped, [`RequestError::Restarted`] if it has restarted.
     fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError>;
 
     /// Takes note that a motor has restarted; see [`Master::note_restart`](crate::master::Master::note_restart).
     fn note_restart(&mut self, motor: MotorId);
 
-    /// Takes moves again for a motor that has restarted as it was meant to; see
-    /// [`Master::resume`](crate::master::Master::resume). Not where others may move the motor, too: they count from where
-    /// it was, and have to know first.
+    /// Accepts moves again for a motor whose restart was intended; see
+    /// [`Master::resume`](crate::master::Master::resume). Does nothing if others may move the motor, too: they count
+    /// from where it was, and have to know first.
     fn resume(&mut self, motor: MotorId);
 
-    /// Whether anything answers under this id. A loop gives one that nobody answers at no place that it did not have.
+    /// Whether anything answers under this id. If nothing does, a loop gives the id no place that it did not have
+    /// before.
     ///
     /// # Errors
-    /// [`CallError`], but not that nobody answers.
+    /// [`CallError`]; but no answer is `false`, not an error.
     async fn is_there(&mut self, motor: MotorId) -> Result<bool, CallError<Self::Error>>
     where
         Self: Sized,
@@ -110,7 +110,7 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
-        // Who was spoken to has a place.
+        // A motor that was spoken to has a place.
         let _ = self.master().stop(motor, kind);
     }
 
@@ -134,7 +134,7 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
         let is_known = self.master().motors().contains(motor);
         let is_there = answers(self, motor).await?;
         if !is_there && !is_known {
-            // Else every stop of all would wait for an id at which there is nobody.
+            // Otherwise every stop of all would wait for an id without a motor.
             self.master().forget(motor);
         }
         Ok(is_there)

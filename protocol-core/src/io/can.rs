@@ -36,7 +36,7 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
         Self { can, clock, pump: Pump::new(config) }
     }
 
-    /// The controller and the clock back.
+    /// Returns the controller and the clock.
     pub fn release(self) -> (C, K) {
         (self.can, self.clock)
     }
@@ -63,8 +63,8 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     }
 }
 
-/// So many frames are given to a controller in a row, which is more than a master has to send at once: one that hands
-/// a frame back for each that it takes comes to no end.
+/// How many frames a controller is given in a row: more than a master has to send at once. Without this bound a
+/// controller that hands a frame back for each that it takes would keep the loop for ever.
 const FRAMES_IN_A_ROW: u8 = 64;
 
 /// A controller, as the pump sees it.
@@ -99,7 +99,7 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
                 Ok(pushed_out) => {
                     refusals.end();
                     master.handle_transmitted(now);
-                    // A frame that had to make way for it is the master's again.
+                    // A frame that had to make way is the master's again.
                     if let Some(can::Received::Packet(packet)) =
                         pushed_out.as_ref().map(can::decode)
                     {
@@ -124,10 +124,10 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
     }
 }
 
-/// Makes a blocking CAN driver fit [`CanMaster`].
+/// Adapts a blocking CAN driver to [`CanMaster`].
 ///
-/// `receive` of such a driver waits for a frame; one that waits for ever stalls the loop when a
-/// drive is silent. Give it a time-out, and have `is_timeout` say which of its errors is that.
+/// The `receive` of such a driver waits for a frame. If it waits for ever, the loop stalls when a drive is silent. Give
+/// it a time-out, and let `is_timeout` say which of its errors is that.
 #[derive(Debug)]
 pub struct BlockingCan<C, F> {
     can: C,

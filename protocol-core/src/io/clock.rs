@@ -2,12 +2,12 @@
 
 use crate::time::Instant;
 
-/// A clock for the loops of [`io`](crate::io): it never runs backwards, nor begins anew. A timer of 32 bits does so
-/// after little more than an hour, by microseconds: count its overflows, or loops wait for ever, and motors go on.
+/// A clock for the loops of [`io`](crate::io). It must never run backwards or start again. A 32-bit timer of
+/// microseconds does after little more than an hour: count its overflows, or loops wait for ever and motors go on.
 ///
-/// On CAN its steps are to be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
-/// By a coarser one answers come sooner than any drive sends them and are strays, so that nobody seems to answer: set
-/// that to 0 for such a clock.
+/// On CAN its steps must be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
+/// With a coarser clock answers seem to come sooner than any drive sends them and are strays, so that no motor seems to
+/// answer: set `shortest_response` to 0 for such a clock.
 ///
 /// ```
 /// use myactuator_protocol_core::io::Clock;
@@ -27,9 +27,8 @@ pub trait Clock {
     /// The time now.
     fn now(&self) -> Instant;
 
-    /// Called when there is nothing to do before `until` unless something arrives first. May sleep
-    /// until either happens; may just as well return at once, which makes the loop poll. A simulated
-    /// clock advances here.
+    /// Called when there is nothing to do before `until` unless something arrives first. May sleep until either
+    /// happens, or return at once, which makes the loop poll. A simulated clock advances here.
     fn idle(&self, until: Instant) {
         let _ = until;
     }
@@ -47,7 +46,7 @@ impl<C: Clock + ?Sized> Clock for &C {
 
 /// A clock that can wake a task, for the async loops of [`io`](crate::io).
 ///
-/// With embassy, `Timer::at` is all there is to it:
+/// With embassy, `Timer::at` is all that is needed:
 ///
 /// ```
 /// # mod embassy_time {
@@ -79,7 +78,7 @@ impl<C: Clock + ?Sized> Clock for &C {
 /// ```
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
 pub trait AsyncClock: Clock {
-    /// Waits until the clock shows `until`, or a little later; not at all if it already does. The
-    /// loops drop this future whenever something arrives first.
+    /// Waits until the clock shows `until`, or a little longer; not at all if it already does. The loops drop this
+    /// future whenever something arrives first.
     async fn wait_until(&mut self, until: Instant);
 }

@@ -1,4 +1,4 @@
-//! What an RS485 adapter hands back of one's own bytes.
+//! What an RS485 adapter hands back of the bytes that were sent.
 
 use crate::id::{MotorId, Target};
 use crate::master::MotorSet;
@@ -6,45 +6,50 @@ use crate::opcode::{LOST_MASTER_BYTE, Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
-/// An echo does not come later after its sending, if somebody looks: adapters hand over what they received every
-/// 16 ms.
+/// How long after its sending an echo comes at most, if somebody looks: adapters hand over what they received every 16
+/// ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
-/// So many answers in a row without an echo show that there is none. Noise may take some.
+/// How many answers in a row without an echo show that there is none. Noise may take some echoes.
 const ARE_ENOUGH: u8 = 4;
-/// So many sendings may wait for their echo.
+/// How many sent frames may wait for their echo.
 const SENDINGS: usize = 8;
 
-/// Tells echoes from replies: by place and by their bytes.
+/// Tells echoes from replies, by place and by their bytes.
 ///
-/// Of the frames that equal one that was sent, the first is its echo, whatever comes before it. So of a
-/// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
-/// sent counts: without a drive that answers, nothing is left. Where more were sent than are remembered before
-/// their echoes came, because reading failed, no acknowledgement counts until those must have come.
+/// Of the frames that equal one that was sent, the first is its echo, whatever comes before it. So a reply that equals
+/// its command, such as an acknowledgement of 0x81, counts only if more such frames come than were sent: if no drive
+/// answers, none is left. If reading failed and more frames were sent than are remembered before their echoes came, no
+/// acknowledgement counts until these must have come.
 ///
-/// This holds, too, for an adapter of which nobody has said that it echoes, until it is shown that it does not: by
-/// four answers in a row that came without the echo of what they answer. A drive has heard that command, and an echo
-/// comes before the answer. Only a command counts whose answer never is the same bytes: a read of the status, the date
-/// or the model. So before the loops send one whose answer may be, they read that motor's status. Only the first
-/// attempt of a stop does not wait for that, and is confirmed by a later one then; but once one seems answered, that
-/// motor's status goes before the stops of others, each of which would be waited for in vain.
+/// # Whether an adapter echoes
+/// An adapter that was not configured to echo is treated as one that may, until it is shown that it does not: four
+/// answers in a row came without the echo of what they answer. An answer shows that the drive has heard the command,
+/// and an echo comes before the answer. This counts only for commands whose answer never is the same bytes: a read of
+/// the status, the date or the model.
 ///
-/// An adapter is found to echo by what comes back and no drive sends: a frame to all, or two such reads of one motor.
-/// One may be handed back by a drive that has lost its master (0xF1) and ignored it; where that was heard, it shows
-/// nothing. It counts as quiet after as many answers in a row without an echo.
+/// So before the loops send a command whose answer may be the same bytes, they read that motor's status. Only the first
+/// attempt of a stop does not wait for that; a later attempt then confirms the stop. But once a command seems answered,
+/// that motor's status is read before the stops of others are sent: otherwise each of these would be waited for in
+/// vain.
+///
+/// An adapter is found to echo if something comes back that no drive sends: a frame to all, or two such reads of one
+/// motor. A single read may be handed back by a drive that has lost its master (0xF1) and ignored it; if its 0xF1 was
+/// heard, the read shows nothing. An adapter that was found to echo counts as quiet after four answers in a row without
+/// an echo.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
-    /// What was sent and has not come back, the newest first.
+    /// The frames that were sent and have not come back, the newest first.
     sent: [Option<Sent>; SENDINGS],
-    /// What was sent to these last shows whether there is an echo, and nothing has come yet that does.
+    /// The motors to which a frame was last sent that shows whether there is an echo, and nothing has shown it yet.
     asked: MotorSet,
-    /// What was sent to this one has come back: it has answered, or the adapter echoes.
+    /// A frame to this motor has come back: it has answered, or the adapter echoes.
     seems_there: Option<MotorId>,
-    /// These have said that they have lost their master, and hand the next command back.
+    /// These motors have said that they have lost their master, and hand the next command back.
     hand_back: MotorSet,
-    /// When the last was sent that found no place there any more and may come back yet.
+    /// When the last frame was sent that found no place in `sent` any more and may still come back.
     forgotten: Option<Instant>,
-    /// When the port was found empty last.
+    /// When the port was last found empty.
     empty_at: Instant,
 }
 
@@ -59,16 +64,16 @@ struct Sent {
 /// What is known of the adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Adapter {
-    /// It echoes, as was said.
+    /// It echoes, by configuration.
     Echoes,
-    /// It echoes, as was found; but so many answers in a row came without an echo since.
+    /// It was found to echo; but since then so many answers in a row came without an echo.
     FoundEchoing { answers: u8 },
-    /// No echo was found, and so many answers in a row came without one; but something to these has come back before.
+    /// No echo was found, and so many answers in a row came without one. Frames to `suspected` have come back before.
     NoneFound { answers: u8, suspected: MotorSet },
 }
 
 impl EchoFilter {
-    /// For an adapter that is said to echo, or not to.
+    /// A filter for an adapter that is configured to echo, or not to.
     pub const fn new(is_echoing: bool) -> Self {
         let none_found = Adapter::NoneFound { answers: 0, suspected: MotorSet::EMPTY };
         let adapter = if is_echoing { Adapter::Echoes } else { none_found };
@@ -77,7 +82,7 @@ impl EchoFilter {
         Self { adapter, sent, asked, seems_there: None, hand_back, forgotten: None, empty_at }
     }
 
-    /// Whether the adapter echoes, as was said or found.
+    /// Whether the adapter echoes, by configuration or because it was found to.
     pub const fn is_echoing(&self) -> bool {
         !matches!(self.adapter, Adapter::NoneFound { .. })
     }
@@ -87,8 +92,8 @@ impl EchoFilter {
         matches!(self.adapter, Adapter::NoneFound { answers: ARE_ENOUGH.., .. })
     }
 
-    /// Whose status is to be read before this frame, because that shows an echo and this one's own may seem to be its
-    /// answer: each once, if nothing comes of it.
+    /// The motor whose status is to be read before this frame, because that shows an echo and this frame's own echo may
+    /// look like its answer. Each motor is named once, if nothing comes of it.
     pub(super) fn asks_before(&self, frame: &Frame, is_first_stop: bool) -> Option<MotorId> {
         if self.is_echoing() || self.is_quiet() || !can_be_a_reply(frame) {
             return None;
@@ -108,7 +113,7 @@ impl EchoFilter {
             Target::Motor(motor) => self.asked.remove(motor),
             Target::All => {}
         }
-        // Each makes way for the next one, up to a free place. Without one the oldest is forgotten.
+        // Each makes way for the next one, up to a free place. If there is none, the oldest is forgotten.
         let mut newer = Some(Sent { frame, at: now, shows });
         for place in &mut self.sent {
             newer = core::mem::replace(place, newer);
@@ -119,10 +124,10 @@ impl EchoFilter {
         self.forgotten = newer.map(|sent| sent.at);
     }
 
-    /// Whether a frame that came is the echo of one that was sent.
+    /// Whether a received frame is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
         let is_equal = |place: &Option<Sent>| place.is_some_and(|sent| sent.frame == *frame);
-        // The echo of one that was answered has not come.
+        // A frame that was answered before its echo came has lost that.
         let may_come = |place: &Option<Sent>| is_equal(place) && place.is_some_and(|it| it.shows);
         let first = self.sent.iter().rposition(may_come);
         let first = first.or_else(|| self.sent.iter().rposition(is_equal));
@@ -142,7 +147,7 @@ impl EchoFilter {
                 self.seems_there = Some(motor);
             }
         } else {
-            // Some of what was sent before may have been lost, and this be the echo of another.
+            // Earlier frames may have been lost, and this may be the echo of another.
             self.show_nothing();
             if !self.is_handed_back(frame.address) {
                 self.has_shown(frame.address, self.adapter.has_echoed(frame.address));
@@ -154,7 +159,7 @@ impl EchoFilter {
         true
     }
 
-    /// Whether the first command since its drive has lost its master has come back: that may be no echo.
+    /// Whether this is the first command that comes back since its drive has lost its master: that may be no echo.
     fn is_handed_back(&mut self, address: Target) -> bool {
         let Target::Motor(motor) = address else { return false };
         let is_first = self.hand_back.contains(motor);
@@ -162,11 +167,12 @@ impl EchoFilter {
         is_first
     }
 
-    /// What is no echo may be an answer; if that of what it answers has not come, it will not.
+    /// A frame that is no echo may be an answer. If the echo of what it answers has not come yet, it does not come any
+    /// more.
     fn has_answered(&mut self, frame: &Frame) {
         match (frame.address, frame.data) {
             (Target::Motor(motor), [LOST_MASTER_BYTE, ..]) => self.hand_back.insert(motor),
-            // Who answers hands nothing back any more.
+            // A motor that answers hands nothing back any more.
             (Target::Motor(motor), _) => self.hand_back.remove(motor),
             (Target::All, _) => {}
         }
@@ -182,7 +188,7 @@ impl EchoFilter {
         }
     }
 
-    /// This has come of what was sent to this one.
+    /// What was sent to this address has shown this.
     fn has_shown(&mut self, address: Target, adapter: Adapter) {
         self.adapter = adapter;
         if let Target::Motor(motor) = address {
@@ -190,17 +196,17 @@ impl EchoFilter {
         }
     }
 
-    /// Echoes of what was sent may be lost, or it was not sent whole: an answer without one shows nothing.
+    /// Echoes of what was sent may be lost, or it was not sent whole: an answer without its echo shows nothing.
     pub(super) fn show_nothing(&mut self) {
         self.sent.iter_mut().flatten().for_each(|sent| sent.shows = false);
     }
 
-    /// Takes note that the port holds nothing now: what was sent long ago does not come back any more. Time
-    /// alone does not say so: where a program was halted, its port holds the echoes of all that it sent.
+    /// Takes note that the port holds nothing now: what was sent long ago does not come back any more. Time alone does
+    /// not show that: if a program was halted, its port holds the echoes of all that it sent.
     pub fn found_empty(&mut self, now: Instant) {
         let pause = now - core::mem::replace(&mut self.empty_at, now);
         if pause > LONGEST_WAIT {
-            // The adapter may hold them yet.
+            // The adapter may still hold them.
             let sent = self.sent.iter_mut().flatten().map(|sent| &mut sent.at);
             sent.chain(&mut self.forgotten).for_each(|at| *at = now);
         }
@@ -212,7 +218,7 @@ impl EchoFilter {
 }
 
 impl Adapter {
-    /// What was sent to this one has come back, and is no answer.
+    /// A frame to this address has come back, and is no answer.
     fn has_echoed(self, address: Target) -> Self {
         match self {
             Self::Echoes => self,
@@ -243,8 +249,8 @@ impl Adapter {
     }
 }
 
-/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where it answers
-/// nothing that means anything, or with values that are never all zero: a voltage, a date, a name.
+/// Whether a drive can answer a command with the command's own bytes. It cannot if the command goes to all motors, if
+/// the answer means nothing, or if the answer holds values that are never all zero: a voltage, a date, a name.
 fn can_be_a_reply(command: &Frame) -> bool {
     let is_silent = |opcode: Opcode| !opcode.reply_rule().has_reply();
     let never = opcode(command).is_some_and(is_silent) || shows_echo(command);
@@ -262,8 +268,8 @@ fn opcode(frame: &Frame) -> Option<Opcode> {
     Opcode::from_byte(byte)
 }
 
-/// Whether a frame says no more than a command: an acknowledgement, or without values. Not that a drive has lost its
-/// master, which is never sent to one.
+/// Whether a frame says no more than a command does: it is an acknowledgement, or has no values. The message that a
+/// drive has lost its master is never a command, so it does not count.
 fn may_be_a_command(frame: &Frame) -> bool {
     let [byte, values @ ..] = frame.data;
     let rule = opcode(frame).map(Opcode::reply_rule);

@@ -8,13 +8,13 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 
 /// A serial port whose transceiver is switched to sending by a pin: high while bytes leave.
 ///
-/// The pin goes high before the first byte is written, and low again in `flush`, after the last byte has left; so
-/// the port's own `flush` must wait for that. Where a write fails or takes nothing it goes low, too: at once if nothing
-/// was written before, else after what was has left.
+/// The pin goes high before the first byte is written. It goes low again in `flush`, after the last byte has left; so
+/// the port's own `flush` must wait for that. If a write fails or takes nothing, the pin goes low, too: at once if
+/// nothing was written before, otherwise after those bytes have left.
 ///
-/// It is a port of embedded-io if `serial` is one and `delay` is embedded-hal's, and a port of
-/// embedded-io-async if `delay` is embedded-hal-async's. There, a `write` or `flush` that is dropped
-/// leaves the pin high; the next `flush` lowers it.
+/// This is a port of embedded-io if `serial` is one and `delay` is embedded-hal's. It is a port of embedded-io-async if
+/// `delay` is embedded-hal-async's; there, a `write` or `flush` that is dropped leaves the pin high, and the next
+/// `flush` lowers it.
 #[derive(Clone, Debug)]
 pub struct HalfDuplex<S, P, D> {
     serial: S,
@@ -48,8 +48,8 @@ impl<S: embedded_io::Error, P: fmt::Debug> embedded_io::Error for HalfDuplexErro
 }
 
 impl<S, P: OutputPin, D> HalfDuplex<S, P, D> {
-    /// A port with its direction pin. `setup_ns` passes between the pin's rise and the first byte,
-    /// `hold_ns` between the last byte and the pin's fall.
+    /// A port with its direction pin. `setup_ns` passes between the pin's rise and the first byte, `hold_ns` between
+    /// the last byte and the pin's fall.
     ///
     /// # Errors
     /// What the pin reports when it is set to receiving.
@@ -64,14 +64,14 @@ impl<S, P: OutputPin, D> HalfDuplex<S, P, D> {
         Ok(Self { serial, pin, delay, setup_ns, hold_ns, sending: false })
     }
 
-    /// The port, the pin and the delay back.
+    /// Returns the port, the pin and the delay.
     pub fn release(self) -> (S, P, D) {
         (self.serial, self.pin, self.delay)
     }
 }
 
 impl<S: ErrorType, P: OutputPin, D> HalfDuplex<S, P, D> {
-    /// Whether the pin has just been raised, so that the set-up time has to pass.
+    /// Returns whether the pin has just been raised, so that the set-up time has to pass.
     fn turn_to_sending(&mut self) -> Result<bool, HalfDuplexError<S::Error, P::Error>> {
         let was_receiving = !self.sending;
         if was_receiving {
@@ -119,8 +119,8 @@ impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
         written
     }
 
-    /// Waits until the last byte has left and turns to receiving, whether or not the port reports an
-    /// error: a transceiver that goes on sending would block the line for all.
+    /// Waits until the last byte has left and turns to receiving, even if the port reports an error: a transceiver that
+    /// goes on sending would block the line for all.
     fn flush(&mut self) -> Result<(), Self::Error> {
         let flushed = self.serial.flush().map_err(HalfDuplexError::Serial);
         if self.sending {

@@ -1,4 +1,4 @@
-//! From the bytes of a serial port to the master: what the blocking and the async loop share.
+//! The way from the bytes of a serial port to the master, shared by the blocking and the async loop.
 
 use crate::io::echo::EchoFilter;
 use crate::io::pump::Pump;
@@ -9,7 +9,7 @@ use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
 /// Bytes read at once.
 const CHUNK: usize = 32;
 
-/// The receiving side of a serial port, and the bytes that were read from it and not looked at yet.
+/// The receiving side of a serial port, and the bytes that were read from it and not yet looked at.
 #[derive(Clone, Debug)]
 pub(super) struct Line {
     receiver: Receiver,
@@ -28,7 +28,7 @@ impl Line {
         Self { receiver: Receiver::new(), echoes, garbled: 0, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
-    /// Takes what the port holds, up to the first event. `read` gives 0 bytes where it holds none.
+    /// Takes what the port holds, up to the first event. `read` returns 0 if the port holds nothing.
     pub(super) fn receive<E, const N: usize>(
         &mut self,
         pump: &mut Pump<N>,
@@ -74,8 +74,9 @@ impl Line {
         None
     }
 
-    /// What is to be sent: what the master offers, which offers nothing that RS485 has no frame for. But where
-    /// nobody knows whether the adapter echoes, what shows it goes before what its echo may seem to answer.
+    /// What is to be sent: what the master offers, which is always something that RS485 has a frame for. But if it is
+    /// not known whether the adapter echoes, a command that shows this goes before one whose echo may look like its
+    /// answer.
     pub(super) fn offered<const N: usize>(
         &mut self,
         pump: &mut Pump<N>,
@@ -88,7 +89,7 @@ impl Line {
         Some(status.and_then(|packet| Frame::from_packet(&packet)).unwrap_or(frame).encode())
     }
 
-    /// The port has taken what was to be sent, but for this rest of it: it may be heard, and come back.
+    /// The port has taken what was to be sent, apart from `rest`. It may be heard, and come back.
     pub(super) fn was_taken<const N: usize>(
         &mut self,
         master: &mut Master<N>,
@@ -105,7 +106,7 @@ impl Line {
         }
     }
 
-    /// Where to read to while nothing of [`receive`](Self::receive) is left: what is read there is given to that.
+    /// Where to read to while [`receive`](Self::receive) has nothing left. What is read there is passed to `receive`.
     pub(super) const fn space(&mut self) -> &mut [u8] {
         &mut self.chunk
     }

@@ -1,6 +1,6 @@
-//! What becomes of a loop when work on it is left halfway.
+//! What happens to a loop when work on it is left halfway.
 
-/// What work is done on, and what is done to it when this is dropped: by a future that is, or by a panic that
+/// What work is done on, and what is done to it when this is dropped, by a future that is dropped or by a panic that
 /// unwinds.
 pub(super) struct OnDrop<T, F: Fn(&mut T)> {
     pub(super) it: T,
@@ -12,7 +12,7 @@ impl<T, F: Fn(&mut T)> OnDrop<T, F> {
         Self { it, act }
     }
 
-    /// Nothing is done to it.
+    /// Ends the work: nothing is done to `it`.
     pub(super) fn end(self) {
         core::mem::forget(self);
     }

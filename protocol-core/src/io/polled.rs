@@ -1,4 +1,4 @@
-//! Ways of working are written once, for tasks; a loop that polls runs them, too.
+//! Ways of working are written once, for tasks. Loops that poll run them through this.
 
 use embassy_futures::yield_now;
 
@@ -8,7 +8,7 @@ use crate::io::runner::{LONGEST_IDLE, Runner};
 use crate::master::{Event, Master};
 use crate::time::Instant;
 
-/// A loop that polls, as one for tasks: where those wait, it lets its clock idle.
+/// A loop that polls, as one for tasks: where a task would wait, it lets its clock idle.
 pub(super) struct Polled<'a, R: ?Sized>(pub(super) &'a mut R);
 
 impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
@@ -40,7 +40,7 @@ impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
     }
 }
 
-/// Other loops of this thread send before this one idles.
+/// Lets other loops of this thread send before this one idles.
 async fn idle<R: Runner<N> + ?Sized, const N: usize>(runner: &mut R, until: Instant) {
     yield_now().await;
     runner.idle(until);

@@ -1,33 +1,33 @@
-//! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
+//! The round that every loop runs, on CAN and on RS485, polled or as a task. It never waits.
 
 use crate::io::clock::Clock;
 use crate::io::elapsed::Elapsed;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
-/// How often a bus is looked at in a row that always has something, before it is sent to all the same.
+/// How often in a row a bus that always has something is looked at, before the loop sends all the same.
 const LOOKS_IN_A_ROW: u8 = 64;
 
-/// A bus that takes nothing for so long counts as down.
+/// A bus that takes nothing for this long counts as down.
 pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
 
-/// Of a pause between two offers no more counts.
+/// A longer pause between two offers counts as this.
 const LONGEST_PAUSE_BETWEEN_OFFERS: Duration = Duration::from_millis(10);
 
 /// How soon a bus that takes nothing, or has failed, is tried again.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
 
-/// What is received and sent by.
+/// What a pump receives from and sends to.
 pub(super) trait Port<const N: usize> {
     type Error;
 
-    /// Takes what has come, up to the first event, with one of the pump's looks for each time that it is asked.
+    /// Receives up to the first event. Uses one of the pump's looks for each time that it asks the bus.
     fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, Self::Error>;
 
     /// Sends what the bus takes.
     fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), Self::Error>;
 
-    /// Whether this error of receiving says that a frame found no place, and nothing of the bus.
+    /// Whether this error of receiving only says that there was no room for a frame, and nothing about the bus.
     fn is_overrun(_: &Self::Error) -> bool {
         false
     }
@@ -37,10 +37,10 @@ pub(super) trait Port<const N: usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Pump<const N: usize> {
     pub(super) master: Master<N>,
-    /// How often the bus is looked at yet before it is sent to.
+    /// How often the bus is still looked at before the loop sends.
     looks: u8,
     pub(super) refusals: Refusals,
-    /// A task begins no round before this, a while after one has failed, so that others have their turns.
+    /// A task begins no round before this time, shortly after a round has failed, so that other tasks get their turns.
     pub(super) rests_until: Instant,
 }
 
@@ -50,13 +50,13 @@ impl<const N: usize> Pump<N> {
         Self { master, looks: LOOKS_IN_A_ROW, refusals, rests_until: Instant::ZERO }
     }
 
-    /// One round. Gives the first event of what has come; those of the master itself are not among them.
+    /// Runs one round. Returns the first event of what was received; the master's own events are not among them.
     pub(super) fn round<P: Port<N>>(
         &mut self,
         port: &mut P,
         now: Instant,
     ) -> Result<Option<Event>, P::Error> {
-        // What was received comes first, so that the caller's answer to it is there when the next command is chosen.
+        // Receiving comes first, so that the caller's reaction to it is there when the next command is chosen.
         let failed = match port.receive(self, now) {
             Ok(None) => None,
             Ok(event) => return Ok(event),
@@ -68,7 +68,7 @@ impl<const N: usize> Pump<N> {
         if failed.is_some() {
             self.round_has_failed(now);
         }
-        // Some controllers report a bad state with each look: no stop waits for its end.
+        // Some controllers report a bad state at each look. A stop does not wait for the end of that.
         let sent = port.transmit(self, now);
         if sent.is_err() {
             self.round_has_failed(now);
@@ -82,38 +82,39 @@ impl<const N: usize> Pump<N> {
         self.bus_is_down(now);
     }
 
-    /// Whether the bus is looked at once more. One that babbles keeps neither stops nor time-outs back.
+    /// Whether the bus is looked at once more. A bus that babbles delays neither stops nor time-outs.
     pub(super) fn looks_again(&mut self) -> bool {
         let left = self.looks.checked_sub(1);
         self.looks = left.unwrap_or(0);
         left.is_some()
     }
 
-    /// The bus is down. What waits all the same, a stop, is offered to it again soon.
+    /// The bus is down. A stop that still waits is soon offered to it again.
     pub(super) fn bus_is_down(&mut self, now: Instant) {
         self.refusals.note(now);
         self.master.handle_bus_down(now);
     }
 
-    /// When there is something to do again, at the latest then, unless something arrives first. While the bus refuses
-    /// what is due, that is when it is offered again: hardly anything else tells when a bus takes something again.
+    /// When there is next something to do, at the latest at `latest`, unless something arrives first. While the bus
+    /// refuses what is due, that is when it is offered again: hardly anything else shows when a bus takes frames again.
     pub(super) fn wake_at(&self, latest: Option<Instant>) -> Option<Instant> {
         let retry_at = self.refusals.0.last.map(|last| last + RETRY_AFTER);
         [retry_at.or_else(|| self.master.poll_at()), latest].into_iter().flatten().min()
     }
 
-    /// Lets the clock of a loop that polls idle until then, or until there is something to do.
+    /// Lets the clock of a loop that polls idle until `until`, or until there is something to do.
     pub(super) fn idle(&self, clock: &impl Clock, until: Instant) {
         clock.idle(self.wake_at(Some(until)).unwrap_or(until));
     }
 }
 
-/// For how long a bus has taken nothing of what it was offered.
+/// How long a bus has taken nothing of what it was offered.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Refusals(Elapsed);
 
 impl Refusals {
-    /// The bus takes nothing. Gives whether it counts as down: not for one pause in which nobody looked.
+    /// The bus takes nothing. Returns whether it counts as down, for which one pause in which nobody looked is not
+    /// enough.
     pub(super) fn note(&mut self, now: Instant) -> bool {
         self.0.with_pauses_up_to(LONGEST_PAUSE_BETWEEN_OFFERS, now) >= STUCK_AFTER
     }

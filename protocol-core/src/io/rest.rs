@@ -7,10 +7,10 @@ use core::task::Poll;
 use crate::io::clock::AsyncClock;
 use crate::time::Instant;
 
-/// Waits until something is received, which is kept in `received`, or until then; where a controller refuses what
-/// is offered to it, until anything wakes the task, for that may be the controller.
+/// Waits until something is received, which is kept in `received`, or until the time `until`. If a controller refuses
+/// what it is offered, waits only until anything wakes the task: that may be the controller.
 ///
-/// A bus that babbles leaves other tasks their turns: they get one whatever is there already.
+/// Other tasks get a turn in any case, even on a bus that babbles.
 pub(super) async fn rest<T>(
     mut receive: Pin<&mut impl Future<Output = T>>,
     received: &mut Option<T>,
@@ -41,7 +41,7 @@ pub(super) async fn rest<T>(
     .await;
 }
 
-/// Waits until then; for ever without an end.
+/// Waits until `until`, or for ever.
 async fn wait(clock: &mut impl AsyncClock, until: Option<Instant>) {
     match until {
         Some(until) => clock.wait_until(until).await,

@@ -9,8 +9,8 @@ use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 
-/// Runs a [`Master`] on a serial port with an RS485 transceiver. Where the port does not switch the
-/// transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
+/// Runs a [`Master`] on a serial port with an RS485 transceiver. If the port does not switch the transceiver's
+/// direction on its own, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
 #[derive(Clone, Debug)]
 pub struct SerialMaster<S, K, const N: usize> {
     serial: S,
@@ -25,12 +25,12 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
         Self { serial, clock, pump: Pump::new(config), line: Line::new(&config) }
     }
 
-    /// How often bytes came that are no frame: noise, or answers that collide, as those of two motors with one id.
+    /// How often bytes came that are no frame: noise, or answers that collide, such as those of two motors with one id.
     pub const fn garbled(&self) -> u32 {
         self.line.garbled
     }
 
-    /// The port and the clock back.
+    /// Returns the port and the clock.
     pub fn release(self) -> (S, K) {
         (self.serial, self.clock)
     }
@@ -82,7 +82,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Port<N> for SerialPo
         let Some(bytes) = self.line.offered(pump, now) else { return Ok(()) };
         let mut rest = bytes.as_slice();
         let written = write(self.serial, &mut rest);
-        // What the port has taken may be heard, and answered, whatever fails then.
+        // What the port has taken may be heard and answered, even if writing then fails.
         if rest.len() < bytes.len() {
             self.line.was_taken(&mut pump.master, &bytes, rest, self.clock.now());
         }
@@ -93,8 +93,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Port<N> for SerialPo
     }
 }
 
-/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
-/// which embedded-io forbids.
+/// Writes all of `rest` and waits until it has left. `false` if the port takes nothing, which embedded-io forbids.
 fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
     while !rest.is_empty() {
         match serial.write(rest)? {
