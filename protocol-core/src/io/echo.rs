@@ -250,7 +250,8 @@ impl Adapter {
 }
 
 /// Whether a drive can answer a command with the command's own bytes. It cannot if the command goes to all motors, if
-/// the answer means nothing, or if the answer holds values that are never all zero: a voltage, a date, a name.
+/// it has no answer that can be waited for, or if the answer has values that are never all zero: a voltage, a date, a
+/// name.
 fn can_be_a_reply(command: &Frame) -> bool {
     let is_silent = |opcode: Opcode| !opcode.reply_rule().has_reply();
     let never = opcode(command).is_some_and(is_silent) || shows_echo(command);
