@@ -1,4 +1,4 @@
-//! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
+//! What each command does and how it is answered, as [`decisions`](super::decisions) says.
 
 use crate::command::*;
 use crate::data::Data;
@@ -17,10 +17,10 @@ mod run;
 
 use run::LockedBrake;
 
-/// For so long after it took a bus id, a drive takes the same command for another drive's reply.
+/// For this long after a drive took a bus id, it takes the same command for another drive's reply.
 const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
 
-/// The data field that a command is answered with, if it is, or why it has no effect.
+/// The data field of the answer, if there is one, or why the command has no effect.
 pub(super) type Answer = Result<Option<Data>, IgnoreReason>;
 
 impl<P: Plant, M: Memory> Drive<P, M> {
@@ -45,13 +45,13 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Ok(answer.filter(|_| !is_silent))
     }
 
-    /// The reply to a read that names nothing, which the drive reports by itself.
+    /// The reply to a read without an index, which the drive reports on its own.
     pub(super) fn report(&mut self, opcode: Opcode, now: Instant) -> Option<Data> {
         self.carry_out(opcode, &with_opcode(opcode), now).ok().flatten()
     }
 
-    /// Each kind stands here, so that the compiler asks for a new one. (It asks for a row's command in
-    /// the same round, as this is a match of kinds and not of commands.)
+    /// Every kind is listed here, so that the compiler asks for a new one. (It asks for a row's command in the same
+    /// round, as this is a match of kinds and not of commands.)
     fn carry_out(&mut self, opcode: Opcode, data: &Data, now: Instant) -> Answer {
         let echo = Some(*data);
         let unknown = Err(IgnoreReason::UnknownCode(opcode));
@@ -322,7 +322,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             velocity_rad_s: number(m.speed_dps.to_radians()),
             torque_nm: number(m.current_a * self.parameters.torque_constant_nm_per_a),
         };
-        // Only what is no number is refused, and no such thing is left.
+        // Only what is no number is refused, and nothing of that kind is left.
         let steps = self.parameters.motion_ranges.quantise_feedback(id, &feedback);
         steps.unwrap_or(RawMotionFeedback { id_byte: id.get(), ..RawMotionFeedback::default() })
     }
@@ -377,7 +377,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Some(answer)
     }
 
-    /// Changes what is stored and what acts. `answer` is what a drive says if that worked.
+    /// Changes what is stored and what acts. `answer` is the reply if that worked.
     fn write_rom(
         &mut self,
         opcode: Opcode,
@@ -406,7 +406,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         is_refused
     }
 
-    /// Changes what is stored only: it acts after a restart.
+    /// Changes only what is stored: it acts after a restart.
     fn keep(&mut self, stored: Settings, answer: Data) -> Option<Data> {
         self.store(stored).then_some(answer)
     }

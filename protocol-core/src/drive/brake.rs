@@ -10,7 +10,7 @@ enum State {
     Released { at: Instant, by_request: bool },
 }
 
-/// It moves some time after its command: each says when that is, if it begins now.
+/// A brake moves some time after its command. In each command `at` is when it has moved, if it begins now.
 #[derive(Clone, Debug)]
 pub(super) struct Brake {
     fitted: bool,
@@ -93,7 +93,7 @@ impl<P, M> Drive<P, M> {
         }
     }
 
-    /// Whether its brake lets the shaft go at `now`. Once it holds, what has held until then goes off.
+    /// Whether the brake lets the shaft go at `now`. Once it holds, the output that held the shaft until then goes off.
     pub(super) fn follow_brake(&mut self, now: Instant) -> bool {
         let is_open = self.brake.is_open(now);
         if !is_open && self.brake.holds() {
@@ -102,7 +102,7 @@ impl<P, M> Drive<P, M> {
         is_open
     }
 
-    /// When the brake lets the shaft go, or holds it, if it gets the command to that now.
+    /// When the brake lets the shaft go, or holds it, if it gets the command for that now.
     pub(super) fn brake_moves_at(&mut self, now: Instant) -> Instant {
         if self.parameters.quirks.slow_brake {
             now + self.random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)

@@ -1,10 +1,10 @@
-//! A drive that is hot gives less.
+//! A hot drive gives less current.
 
 use crate::drive::Measurement;
 
-/// How the largest current falls with heat: whole up to one temperature, none from another on, and in a straight
-/// line between. Of motor and output stage the one that leaves less decides. The manual has no such thing; drives
-/// do it.
+/// How the largest current falls with heat: all of it up to one temperature, none from another on, and linear in
+/// between. The motor and the output stage each leave a share, and the smaller one counts. The manual describes no such
+/// thing; drives do it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -29,7 +29,7 @@ impl Derating {
 
 fn left(from_c: f32, to_c: f32, temperature_c: f32) -> f32 {
     let share = (to_c - temperature_c) / (to_c - from_c);
-    // A jump, exactly at it, or no number.
+    // Exactly at a jump, where both temperatures are the same, or not a number.
     if share.is_nan() { 1.0 } else { share.clamp(0.0, 1.0) }
 }
 

@@ -1,8 +1,7 @@
-//! Turns, zero and angles: what the drive makes of its encoder, as [`decisions`](super::decisions)
-//! says.
+//! Turns, zero and angles: what the drive computes from its encoder, as [`decisions`](super::decisions) says.
 //!
-//! Raw position = pulses − `base`, which is whole turns of the shaft whose place is known at a start; position = raw − zero
-//! offset; angle = position · 360° / pulses in a turn of the output shaft.
+//! Raw position = pulses − `base`. `base` is a whole number of turns of the shaft whose place is known at a start.
+//! Position = raw − zero offset. Angle = position · 360° / pulses in a turn of the output shaft.
 
 use crate::drive::parameters::Parameters;
 use crate::round::round_f64;
@@ -39,7 +38,7 @@ impl Encoder {
         self.pulses = pulses;
         self.offset = i64::from(offset.raw());
         let near = saved.unwrap_or(self.offset);
-        // The whole turns that lie nearest.
+        // The nearest whole number of turns.
         let away = pulses.saturating_sub(near) as f64;
         let half = self.known_turn / 2.0;
         self.base = round_f64(away + half - rest(away + half, self.known_turn)) as i64;
@@ -108,8 +107,8 @@ impl Encoder {
         Angle::from_raw(if steps > 18_000 { steps - 36_000 } else { steps })
     }
 
-    /// 0x90: position, raw and offset within a turn of the motor shaft; of an encoder of more than 16 bits the
-    /// upper 16.
+    /// 0x90: position, raw and offset within a turn of the motor shaft; of an encoder with more than 16 bits, the upper
+    /// 16.
     pub(super) fn single_turn(&self) -> [SingleTurnPulses; 3] {
         let too_many_bits = self.motor_turn.ilog2().saturating_sub(u16::BITS);
         [self.position(), self.raw(), self.offset].map(|pulses| {

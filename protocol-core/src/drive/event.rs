@@ -1,4 +1,4 @@
-//! What a watcher of a drive wants to know.
+//! What a watcher of a drive may want to know.
 
 use crate::command::{BaudCode, ErrorFlags};
 use crate::drive::QUEUE_LENGTH;
@@ -14,8 +14,8 @@ use crate::time::Instant;
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "kebab-case"))]
 #[non_exhaustive]
 pub enum Event {
-    /// A packet had no effect and no answer, but for the last one once more by
-    /// [a quirk](super::Quirks::repeats_last_reply).
+    /// A packet had no effect and no answer. ([A quirk](super::Quirks::repeats_last_reply) sends the last answer once
+    /// more.)
     Ignored {
         /// The packet.
         packet: Packet,
@@ -48,11 +48,11 @@ pub enum Event {
     /// The non-volatile memory could not be read or written. The error flag for lost parameters is
     /// raised with it, and the command that wanted to write is not answered.
     MemoryFailed,
-    /// The current has been limited for 10 ms, most of them by this, and the motor does less than it was told to.
+    /// The current has been limited for 10 ms, mostly by this limit, and the motor does less than it was told to.
     Limited(Limit),
-    /// This limit acts no more.
+    /// This limit no longer acts.
     Unlimited(Limit),
-    /// A position beyond a limit of the drive (functions 6 and 7): it goes as far as it may.
+    /// A command asks for a position beyond a limit of the drive (functions 6 and 7). The drive goes as far as it may.
     TargetLimited {
         /// The command's kind.
         opcode: Opcode,
@@ -71,11 +71,11 @@ pub enum Event {
 pub enum Limit {
     /// The torque limit of the command that runs (0xA2, 0xA9).
     CommandTorque,
-    /// The drive's own, [`stall_current_a`](super::Parameters::stall_current_a).
+    /// The drive's own limit, [`stall_current_a`](super::Parameters::stall_current_a).
     StallCurrent,
-    /// The drive's own while it is hot, [`derating`](super::Parameters::derating).
+    /// The drive's own limit while it is hot, [`derating`](super::Parameters::derating).
     Temperature,
-    /// The supply's voltage does not drive more current through the motor at its speed.
+    /// At this speed the supply's voltage drives no more current through the motor.
     Voltage,
 }
 
@@ -101,7 +101,7 @@ pub enum IgnoreReason {
     UnknownCode(Opcode),
     /// On the channel of bus ids commands and replies look alike: this is another drive's reply.
     AnothersReply,
-    /// The drive reports this by itself, and so does not answer when asked for it (2.34.1).
+    /// The drive reports this on its own, and so does not answer when asked for it (2.34.1).
     ReportedActively(Opcode),
 }
 

@@ -14,13 +14,13 @@ pub enum Indicator {
     Dark,
     /// Steadily on: the motor runs normally.
     On,
-    /// Slow blinking: an error that goes by itself.
+    /// Slow blinking: an error that ends on its own.
     SlowBlink,
     /// Fast blinking: an error that needs a restart.
     FastBlink,
 }
 
-/// How an error goes, those included that the manual gives no level.
+/// How an error ends, also for errors that the manual gives no level.
 pub(super) fn level(error: ErrorFlags) -> ErrorLevel {
     match error.level() {
         Some(level) => level,
@@ -55,13 +55,13 @@ fn checks(m: &Measurement, parameters: &Parameters) -> [Check; CHECKS] {
     let [a, b, c] = m.phase_currents_a.map(f32::abs);
     let phase = a.max(b).max(c).max(m.current_a.abs());
     let check = |error, beyond, back| Check { error, beyond, back, confirm: limits.confirm_time };
-    // Beyond a limit, and back by a margin.
+    // Beyond a limit, and back again only by a margin.
     let above = |error, x, limit, margin| check(error, x > limit, x < limit - margin);
     let keep = 1.0 - limits.relative_margin;
     let above_by_part = |error, x, limit| check(error, x > limit, x < limit * keep);
     let volts = m.supply_voltage_v;
     let hot_by = limits.temperature_margin_c;
-    // The current comes to its cap from below, and never quite: 5 % under it counts.
+    // The current approaches its cap from below and never quite reaches it: 5 % below counts.
     let stalls =
         m.current_a.abs() >= 0.95 * parameters.stall_current_a && speed < limits.stall_speed_dps;
     [
@@ -95,7 +95,7 @@ pub(super) struct Faults {
     measured: ErrorFlags,
     /// Errors of level two raised by hand.
     by_hand: ErrorFlags,
-    /// For how long each check has spoken against the present state.
+    /// How long each check has contradicted the present state.
     lasting: [Duration; CHECKS],
 }
 

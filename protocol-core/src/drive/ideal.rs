@@ -3,10 +3,10 @@
 use super::plant::{Actuation, Measurement, Plant};
 use crate::time::Duration;
 
-/// A turning body: J dω/dt = KT · i − b · ω + load. For trying a drive and for tests; a model of a real
-/// motor is the simulation's affair.
+/// A turning body: J dω/dt = KT · i − b · ω + load. It is for trying a drive and for tests; modelling a real motor is
+/// the simulation's task.
 ///
-/// It stays at 25 °C and 48 V. Off, it turns freely; a locked brake stops it at once.
+/// It stays at 25 °C and 48 V. With the output off it turns freely; a locked brake stops it at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdealPlant {
     /// Inertia at the output shaft, kg·m².

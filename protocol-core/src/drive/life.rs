@@ -9,7 +9,7 @@ use crate::time::{Duration, Instant};
 pub(super) enum Life {
     /// No supply.
     Off,
-    /// Too little supply for the electronics; they start by themselves when it is back.
+    /// Too little supply for the electronics, which start on their own when it is back.
     BrownedOut,
     /// Starting, and deaf.
     Booting {
@@ -49,7 +49,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         matches!(self.life, Life::Booting { .. } | Life::Running { .. })
     }
 
-    /// The supply's voltage may be too low for the electronics, or enough again.
+    /// Checks whether the supply's voltage has become too low for the electronics, or enough again.
     pub(super) fn follow_supply(&mut self) {
         let lowest_v = self.parameters.brown_out_voltage_v;
         let voltage_v = self.measurement.supply_voltage_v;
@@ -121,7 +121,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// Everything in RAM goes.
+    /// Loses everything in RAM.
     fn halt(&mut self) {
         self.cut_output();
         self.protection = Protection::default();
@@ -137,7 +137,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.store(Settings { saved_position, ..self.stored });
     }
 
-    /// Keeps settings in ROM; whether that worked.
+    /// Keeps settings in ROM. Returns whether that worked.
     pub(super) fn store(&mut self, settings: Settings) -> bool {
         if settings == self.stored {
             return true;

@@ -1,17 +1,17 @@
-//! What keeps the current from being what the loops want: told when it begins and when it ends.
+//! What keeps the current from being what the loops want. Reports when that begins and when it ends.
 
 use crate::drive::event::Limit;
 use crate::drive::{Actuation, Drive, Event, Memory, Plant};
 use crate::time::Duration;
 
-/// For so long a limit must act, or act no more, before it is reported.
+/// How long a limit must act, or no longer act, before that is reported.
 const CONFIRM: Duration = Duration::from_millis(10);
-/// A current this part of its limit counts as at it.
+/// From this share of its limit on, a current counts as being at the limit.
 const AT_LIMIT: f32 = 0.999;
-/// The supply's voltage is the limit if a larger part of the drive's current than this is missing.
+/// The supply's voltage is the limit if more than this share of the drive's current is missing.
 const MISSING: f32 = 0.05;
 
-/// One control step, as far as limits go.
+/// One control step, as far as it concerns limits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     /// What the loops ask for, A.
@@ -20,7 +20,7 @@ pub(super) struct Step {
     pub(super) flows_a: f32,
     /// The command's limit, not above that of the drive, A.
     pub(super) limit_a: f32,
-    /// The drive's own limit, as hot as it is, A.
+    /// The drive's own limit at its present temperature, A.
     pub(super) largest_a: f32,
     /// The drive's own limit when cold, A.
     pub(super) stall_a: f32,
@@ -53,17 +53,17 @@ const ALL: [Option<Limit>; 5] = [
     Some(Limit::Voltage),
 ];
 
-/// Which limit acts, as it was reported last.
+/// Which limit acts, as last reported.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
     told: Option<Limit>,
-    /// For how long each of [`ALL`] has acted since it is another than was told.
+    /// For how long each of [`ALL`] has acted, since it is another one than was reported.
     acted: [Duration; ALL.len()],
 }
 
 impl Limits {
-    /// Takes a step of so long, `None` with the output off. Gives the limit that has ended and the one that has
-    /// begun, if that has changed.
+    /// Takes a step of length `span`; `None` with the output off. If the limit has changed, returns the one that has
+    /// ended and the one that has begun.
     pub(super) fn observe(
         &mut self,
         step: Option<Step>,
@@ -81,7 +81,7 @@ impl Limits {
             }
             changed = changed + *acted;
         }
-        // What is switched off is limited no more.
+        // An output that is off is no longer limited.
         if changed < CONFIRM && step.is_some() {
             return None;
         }
@@ -94,13 +94,13 @@ impl Limits {
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
-    /// The largest current, as hot as it is, A.
+    /// The largest current at the present temperature, A.
     pub(super) fn largest_a(&self) -> f32 {
         let share = self.parameters.derating.map_or(1.0, |it| it.share(&self.measurement));
         self.parameters.stall_current_a * share
     }
 
-    /// Tells which limit of the current begins to act, and which ends.
+    /// Reports which limit of the current begins to act, and which ends.
     pub(super) fn watch_limits(&mut self, actuation: &Actuation, span: Duration) {
         let stall_a = self.parameters.stall_current_a;
         let largest_a = self.largest_a();

@@ -1,18 +1,17 @@
 //! The drive as a state machine: the same frames, seen from the other end.
 //!
-//! A [`Drive`] does what the manual says that a drive does when it receives a frame, on whatever it is
-//! given to turn ([`Plant`]) and to remember with ([`Memory`]). It owns no bus and reads no clock.
+//! A [`Drive`] does what the manual says that a drive does when it receives a frame. It turns a [`Plant`] and remembers
+//! in a [`Memory`]. It owns no bus and reads no clock.
 //!
 //! # Call order
 //!
-//! - Every packet on the bus goes to [`handle_packet`](Drive::handle_packet), those for others
-//!   included: the drive knows what is meant for it.
-//! - [`poll_transmit`](Drive::poll_transmit) is called until it returns `None`, whenever
-//!   [`poll_at`](Drive::poll_at) has come or a packet has been handled. What it returns goes on the bus.
+//! - Pass every packet on the bus to [`handle_packet`](Drive::handle_packet), even those for others: the drive knows
+//!   what is meant for it.
+//! - Call [`poll_transmit`](Drive::poll_transmit) until it returns `None`, whenever [`poll_at`](Drive::poll_at) has
+//!   come or a packet has been handled. Send what it returns on the bus.
 //! - [`poll_event`](Drive::poll_event) returns what happened, for a watcher. It may be left out.
-//! - On real hardware [`advance`](Drive::advance) is called once every
-//!   [`control_period`](Parameters::control_period). A simulation need not: every call catches up by
-//!   itself.
+//! - On real hardware call [`advance`](Drive::advance) once every [`control_period`](Parameters::control_period). A
+//!   simulation need not: every call catches up on its own.
 //!
 //! ```
 //! use myactuator_protocol_core::command::{AbsolutePosition, AnyReply, Command};
@@ -42,8 +41,8 @@
 //! assert!((drive.state().angle_deg - 360.0).abs() < 0.1);
 //! ```
 //!
-//! The manual leaves much open: what this drive does there is in [`decisions`]. What real drives were
-//! seen to do beside the manual is in [`Quirks`].
+//! The manual leaves much open: [`decisions`] says what this drive does there. [`Quirks`] has what real drives were
+//! seen to do that the manual does not describe.
 
 mod answer;
 mod brake;
@@ -97,7 +96,7 @@ use random::Random;
 use reply::Replies;
 use reporting::{Report, Reporting};
 
-/// How often measurements are held against their limits, where the loops run more often.
+/// How often measurements are compared with their limits, if the loops run more often than that.
 const JUDGED_EVERY: Duration = Duration::from_millis(1);
 
 /// How many control steps one call runs at most. With the default period that is one second.
@@ -134,7 +133,7 @@ pub struct Drive<P, M> {
     judged: Instant,
     measurement: Measurement,
     encoder: Encoder,
-    /// What function 1 takes off the raw position at the next start.
+    /// What function 1 subtracts from the raw position at the next start.
     turns_to_clear: i64,
     /// The last bus id taken, and when.
     id_taken: Option<(MotorId, Instant)>,
@@ -151,11 +150,10 @@ pub struct Drive<P, M> {
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
-    /// A drive that gets its supply at `now`, with the settings in `memory`, or factory settings where
-    /// that is empty.
+    /// A drive that gets its supply at `now`, with the settings in `memory`, or with factory settings if that is empty.
     ///
     /// # Errors
-    /// Whatever the memory fails with.
+    /// The memory's error.
     pub fn new(
         parameters: Parameters,
         mut plant: P,
@@ -203,7 +201,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// Takes a packet from the bus. What is not for this drive changes nothing.
+    /// Takes a packet from the bus. A packet that is not for this drive changes nothing.
     ///
     /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and reported
     /// as [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
@@ -256,13 +254,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Ok(opcode)
     }
 
-    /// Runs the control loops up to `now`, in whole steps of
-    /// [`control_period`](Parameters::control_period), with everything that time does to a drive:
-    /// errors, loss of communication, the end of a start.
+    /// Runs the control loops up to `now`, in whole steps of [`control_period`](Parameters::control_period), with
+    /// everything that time does to a drive: errors, loss of communication, the end of a start.
     ///
-    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) returns how far it
-    /// came, and a caller that let more time pass calls again. A `now` before the last one changes
-    /// nothing.
+    /// One call runs at most [`MAX_STEPS_PER_CALL`] steps. [`clock`](Self::clock) returns how far it came; if more time
+    /// has passed, call again. A `now` before the last one changes nothing.
     pub fn advance(&mut self, now: Instant) {
         let period = self.parameters.control_period.max(Duration::from_micros(1));
         for _ in 0..MAX_STEPS_PER_CALL {
@@ -293,11 +289,14 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Some(Packet { channel, data })
     }
 
-    /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
-    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms
-    /// behind (a motor moves and errors come at any time). While errors are to be reported (function 3), or the
-    /// supply is too low, whenever measurements are held against their limits: every millisecond. `None` only at
-    /// the end of time.
+    /// When [`poll_transmit`](Self::poll_transmit) next has something to do, if no packet comes before:
+    ///
+    /// - A reply or a report is due, a start ends, or communication is lost.
+    /// - The loops are 10 ms behind: a motor moves and errors come at any time.
+    /// - While errors are to be reported (function 3), or the supply is too low: whenever measurements are compared
+    ///   with their limits, every millisecond.
+    ///
+    /// `None` only at the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
         let period = self.parameters.control_period;
         let catch_up = if self.reporting.errors_wanted() || self.life == Life::BrownedOut {
@@ -305,7 +304,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         } else {
             self.clock + period.max(CATCH_UP)
         };
-        // The loops see it with the step after.
+        // The loops see it one step later.
         let silence = self.protection.deadline(self.protection_timeout()).map(|at| at + period);
         let reply = self.outgoing.first().map(|outgoing| outgoing.due);
         let started = if let Life::Booting { until, .. } = self.life { Some(until) } else { None };
@@ -381,7 +380,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         &mut self.plant
     }
 
-    /// What the drive remembers with.
+    /// The memory in which the drive remembers.
     pub const fn memory(&self) -> &M {
         &self.memory
     }
@@ -391,7 +390,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         (self.outgoing.dropped(), self.events.dropped())
     }
 
-    /// Measures before the next control step does: somebody has changed the [plant](Self::plant_mut).
+    /// Measures at once, not only at the next control step, because somebody has changed the [plant](Self::plant_mut).
     pub fn measure(&mut self) {
         self.act(&Actuation::default(), Duration::ZERO);
     }

@@ -1,4 +1,4 @@
-//! What makes one drive another than the next: its motor, its bus, its limits.
+//! What distinguishes one drive from another: its motor, its bus, its limits.
 
 use crate::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use crate::drive::derating::Derating;
@@ -50,11 +50,11 @@ macro_rules! defaults {
 }
 
 defaults! {
-    /// At what measurements errors come (manual 8.2). The manual gives no numbers: the maker sets them
-    /// for each model.
+    /// The measurements at which errors come (manual 8.2). The manual gives no numbers: the maker sets them for each
+    /// model.
     ///
-    /// A measurement beyond its limit for [`confirm_time`](Self::confirm_time) raises its error;
-    /// level two ends once the measurement has been back by the margin for as long.
+    /// A measurement beyond its limit for [`confirm_time`](Self::confirm_time) raises its error. An error of level two
+    /// ends once the measurement has been back by the margin for as long.
     ///
     /// The defaults are for a supply of 24 to 48 V.
     #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +84,7 @@ defaults! {
         /// Below this speed of the output shaft, degrees per second, a motor at its stall current
         /// stalls.
         pub stall_speed_dps: f32 = 3.0,
-        /// For how long it must.
+        /// For how long it must do so.
         pub stall_time: Duration = Duration::from_millis(1_000),
         /// For how long any other measurement must be beyond its limit, or back.
         pub confirm_time: Duration = Duration::from_millis(10),
@@ -121,8 +121,8 @@ defaults! {
         pub version_date: VersionDate = VersionDate::from_raw(20_250_512),
         /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
         pub encoder_bits: u8 = 14,
-        /// Whether there is a second encoder on the output shaft. With the one on the motor shaft alone the drive
-        /// knows after a start where the output is within a turn of the motor shaft only.
+        /// Whether there is a second encoder on the output shaft. With only the one on the motor shaft, after a start
+        /// the drive knows where the output is only within a turn of the motor shaft.
         pub output_encoder: bool = true,
         /// Turns of the motor shaft in one of the output shaft.
         pub gear_ratio: f64 = 6.0,
@@ -132,7 +132,7 @@ defaults! {
         pub rated_current_a: f32 = 6.0,
         /// Stall current, A: the largest that any command gets.
         pub stall_current_a: f32 = 12.0,
-        /// How that falls with heat; `None` if it does not.
+        /// How the stall current falls with heat; `None` if it does not.
         pub derating: Option<Derating> = None,
         /// The fastest that a planned position profile turns the output shaft, degrees per second,
         /// where its command sets no limit.
@@ -153,13 +153,13 @@ defaults! {
         pub response_delay_min: Duration = Duration::from_micros(800),
         /// The longest time from a command to its reply.
         pub response_delay_max: Duration = Duration::from_micros(800),
-        /// Seed of everything that the drive does by chance. The same seed gives the same run.
+        /// Seed of everything that the drive does at random. The same seed gives the same run.
         pub seed: u32 = 1,
         /// The step of the control loops; at least 1 µs. The factory gains are for the default.
         pub control_period: Duration = Duration::from_micros(100),
         /// How long the drive is deaf after a start.
         pub boot_time: Duration = Duration::ZERO,
-        /// Behaviour beside the manual.
+        /// Behaviour that the manual does not describe.
         pub quirks: Quirks = Quirks::default(),
     }
 }

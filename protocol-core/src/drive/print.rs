@@ -18,7 +18,7 @@ impl Display for Event {
                 if Firmware::ALL.iter().any(means) {
                     return write!(f, "ignores a {packet}: {reason}");
                 }
-                // Its text would say that it means nothing, too.
+                // Its own text would also say that it means nothing.
                 write!(f, "ignores a {}: ", packet.channel)?;
                 raw(f, &packet.data)?;
                 write!(f, ": {reason}")

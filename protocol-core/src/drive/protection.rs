@@ -65,7 +65,7 @@ impl Protection {
         self.last.filter(|_| watching).map(|last| last + timeout)
     }
 
-    /// Ends a trip; whether there was one.
+    /// Ends a trip. Returns whether there was one.
     pub(super) fn forgive(&mut self) -> bool {
         self.lost.take().is_some()
     }

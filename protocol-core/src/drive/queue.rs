@@ -2,7 +2,7 @@
 
 use heapless::Deque;
 
-/// A queue of at most `N`. Full, it drops its oldest entry and counts it.
+/// A queue of at most `N` entries. When it is full, it drops its oldest entry and counts it.
 #[derive(Clone, Debug)]
 pub(super) struct DropOldest<T, const N: usize> {
     entries: Deque<T, N>,

@@ -1,4 +1,4 @@
-//! The drive's own chance: a small xorshift generator, the same on every run for a seed.
+//! The drive's own random numbers: a small xorshift generator, the same on every run for a seed.
 
 use crate::time::Duration;
 
@@ -24,7 +24,7 @@ impl Random {
     pub(super) fn between(&mut self, min: Duration, max: Duration) -> Duration {
         let steps = max.as_micros().saturating_sub(min.as_micros()).saturating_add(1);
         let random = u64::from(self.next()) << 32 | u64::from(self.next());
-        // `steps` is 0 for no span that a drive has, but a remainder of 0 would panic.
+        // `steps` is 0 for no span that a drive has, but the remainder of a division by 0 would panic.
         min + Duration::from_micros(random.checked_rem(steps).unwrap_or(random))
     }
 }

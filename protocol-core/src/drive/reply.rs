@@ -1,4 +1,4 @@
-//! As whom a drive replies, and when.
+//! Under which id a drive replies, and when.
 
 use crate::drive::{Bus, Drive, Memory, Outgoing, Parameters, Plant, Quirks};
 use crate::id::{MotorId, Target};
@@ -10,26 +10,25 @@ use crate::wire::rs485::FRAME_LENGTH;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Replies {
     last: Option<Packet>,
-    /// It writes its ROM until then.
+    /// Until then it writes its ROM.
     busy_until: Instant,
 }
 
 impl Replies {
-    /// Answers nothing before.
+    /// Answers nothing before `until`.
     pub(super) fn wait_until(&mut self, until: Instant) {
         self.busy_until = until;
     }
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
-    /// Whose replies it sends.
+    /// The id under which it sends replies.
     pub(super) const fn replies_as(&self) -> MotorId {
         if self.parameters.quirks.answers_as_new_id { self.stored.id } else { self.active.id }
     }
 
-    /// Queues the reply to a command that came on this channel. Replies leave in the order of their
-    /// commands: the first in the queue holds up those behind it, as a drive does one thing after the
-    /// other.
+    /// Queues the reply to a command that came on this channel. Replies leave in the order of their commands: the first
+    /// in the queue delays those after it, as a drive does one thing after the other.
     pub(super) fn reply(&mut self, packet: Packet, to: Channel, now: Instant) {
         let Parameters { response_delay_min: min, response_delay_max: max, .. } = self.parameters;
         let begun = now.max(self.replies.busy_until);
@@ -38,7 +37,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.outgoing.push(Outgoing { due, packet });
     }
 
-    /// What a command that the drive does not know is answered with: nothing, but for a quirk.
+    /// Answers a command that the drive does not know: not at all, unless a quirk is on.
     pub(super) fn reply_to_unknown(&mut self, to: Channel, now: Instant) {
         let last = self.replies.last.filter(|_| self.parameters.quirks.repeats_last_reply);
         if let Some(last) = last {
@@ -46,7 +45,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// How long it lets others answer first, as [`broadcast_slots`](Quirks::broadcast_slots) says.
+    /// How long the drive lets others answer first, as [`broadcast_slots`](Quirks::broadcast_slots) says.
     fn turn(&self, to: Channel) -> Duration {
         let Parameters { quirks, bus, response_delay_min, response_delay_max, .. } =
             self.parameters;

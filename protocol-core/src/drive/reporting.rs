@@ -1,5 +1,5 @@
-//! What a drive sends by itself: active replies (0xB6), error reports (function 3) and the heartbeat
-//! of a lost master (a quirk), as [`decisions`](super::decisions) says.
+//! What a drive sends on its own: active replies (0xB6), error reports (function 3) and the heartbeat of a lost master
+//! (a quirk), as [`decisions`](super::decisions) says.
 
 use heapless::Vec;
 
@@ -18,7 +18,7 @@ struct Timer {
 }
 
 impl Timer {
-    /// Whether it is due; then it is set again. What a late caller missed is not made up for.
+    /// Whether it is due; if so, sets it again. A late caller gets no more than one.
     fn is_due(&mut self, now: Instant) -> bool {
         let due = self.due <= now;
         if due {

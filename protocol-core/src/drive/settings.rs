@@ -31,13 +31,12 @@ impl Gains {
     /// 1 A, so that its speed settles with this bandwidth in rad/s. The bandwidth should stay well below
     /// the control rate: 1000 rad/s suits 10 kHz.
     ///
-    /// A drive does not know its load, which makes the speed loop slower by as much as the inertia
-    /// grows, and the loops around it not. So these are far slower: with `B` the bandwidth, `P` the
-    /// position loop's gain, `I` the speed loop's integral one over its proportional one and `n` the
-    /// growth, `n·s³ + B·s² + B·(P + I)·s + B·P·I` is the loops' polynomial, and stable as long as
-    /// `n < B·(P + I) / (P·I)`: 240 times.
+    /// A drive does not know its load. A load makes the speed loop slower by as much as the inertia grows, but not the
+    /// loops around it. So those are far slower: with `B` the bandwidth, `P` the position loop's gain, `I` the speed
+    /// loop's integral gain over its proportional gain and `n` the growth, the loops' polynomial is `n·s³ + B·s² + B·(P
+    /// + I)·s + B·P·I`. It is stable as long as `n < B·(P + I) / (P·I)`: 240 times.
     ///
-    /// What is not a positive number gives gains of 0, with which the motor does not move.
+    /// If an argument is not a positive number, all gains are 0 and the motor does not move.
     pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
         let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
         let gain = |x: f32| Gain::new(x).unwrap_or(Gain::ZERO);
@@ -201,7 +200,7 @@ impl Settings {
     }
 }
 
-/// Between which angles position commands move the shaft, degrees (functions 6 and 7).
+/// The angles between which position commands move the shaft, degrees (functions 6 and 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PositionLimits {
     smallest_deg: f64,
@@ -209,12 +208,12 @@ pub(super) struct PositionLimits {
 }
 
 impl PositionLimits {
-    /// The angle that may be gone to instead of this. Of two limits that leave none, function 7's holds.
+    /// The nearest allowed angle. If the two limits leave none, function 7's limit is used.
     pub(super) fn nearest(&self, angle_deg: f64) -> f64 {
         angle_deg.min(self.largest_deg).max(self.smallest_deg)
     }
 
-    /// Wide enough for a shaft that is here.
+    /// The same limits, widened if needed to include the shaft's own angle.
     pub(super) fn around(&self, angle_deg: f64) -> Self {
         Self {
             smallest_deg: self.smallest_deg.min(angle_deg),

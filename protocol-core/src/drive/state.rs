@@ -1,10 +1,10 @@
-//! How a drive does, for those who look at it from outside the bus.
+//! The state of a drive, for those who look at it from outside the bus.
 
 use crate::command::{BrakeCommand, ErrorFlags, Mode};
 use crate::drive::life::Life;
 use crate::drive::{Drive, Indicator, Measurement, Memory, Plant};
 
-/// How a drive does at its [`clock`](Drive::clock).
+/// The state of a drive at its [`clock`](Drive::clock).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -32,7 +32,7 @@ pub struct State {
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
-    /// How the drive does.
+    /// The state of the drive.
     pub fn state(&self) -> State {
         State {
             powered: self.is_powered(),

@@ -28,7 +28,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.run(Opcode::Speed, set_point, LockedBrake::Opens);
     }
 
-    /// 0xA6; whether its direction has a name.
+    /// 0xA6. Returns whether its direction has a name.
     pub(super) fn run_single_turn(&mut self, to: &SingleTurnPosition) -> bool {
         let here = self.encoder.angle_deg();
         if to.direction.name().is_none() {
@@ -48,7 +48,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         true
     }
 
-    /// A part of the rated current; above the stall current there is no limit but that.
+    /// A share of the rated current; above the stall current only that limits it.
     pub(super) fn limit_a(&self, max_torque: MaxTorque) -> f32 {
         let limit_a = max_torque.percent() / 100.0 * self.parameters.rated_current_a;
         limit_a.min(self.parameters.stall_current_a)
@@ -72,7 +72,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// Takes a set-point over, unless something forbids it; whether it did.
+    /// Takes a set-point, unless something forbids it. Returns whether it did.
     pub(super) fn run(
         &mut self,
         opcode: Opcode,

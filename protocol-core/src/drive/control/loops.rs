@@ -1,11 +1,11 @@
 //! The three cascaded loops of [`decisions`](crate::drive::decisions): position to speed, speed to
 //! current, current to output.
 //!
-//! Every output is limited, no integral grows while its output is, and what is not a number becomes 0.
+//! Every output is limited. No integral grows while its output is limited, and what is not a number becomes 0.
 
 use crate::drive::settings::Gains;
 
-/// Share of a missing current that a current KP of 1 makes up in a second: all of it within 0.1 ms.
+/// The share of a missing current that a current KP of 1 makes up in a second: all of it within 0.1 ms.
 const CURRENT_RATE_PER_S: f32 = 10_000.0;
 
 /// The loops' memory: their integrals.
@@ -25,7 +25,7 @@ pub(crate) struct Output {
 }
 
 impl Loops {
-    /// Starts the loops anew, the speed loop where `current_a` flows already.
+    /// Starts the loops again, with `current_a` already flowing in the speed loop.
     pub(crate) fn restart(&mut self, current_a: f32) {
         *self = Self { speed_a: current_a, ..Self::default() };
     }
@@ -51,8 +51,8 @@ impl Loops {
             .value
     }
 
-    /// The current wanted while the shaft stands where it should, A. The integral rests: it would grow
-    /// until it broke the shaft away, and bring it to the other side, for ever.
+    /// The current wanted while the shaft stands where it should, A. The integral does not grow: otherwise it would
+    /// break the shaft away and bring it to the other side, for ever.
     pub(crate) fn speed_at_rest(&mut self, gains: &Gains, error_dps: f32, limit_a: f32) -> Output {
         self.speed(gains, error_dps, limit_a, 0.0)
     }
@@ -64,8 +64,8 @@ impl Loops {
     }
 }
 
-/// The output current, A. A winding keeps what it has, so the gains set how fast the current comes and
-/// never how much of it, and there is nothing to overshoot with.
+/// The output current, A. A winding keeps its current. So the gains set how fast the current comes and never how much
+/// of it, and nothing can overshoot.
 pub(crate) fn current(gains: &Gains, wanted_a: f32, measured_a: f32, limit_a: f32, dt: f32) -> f32 {
     let rate = gains.current_kp.value() * CURRENT_RATE_PER_S + gains.current_ki.value();
     let share = number(rate * dt).clamp(0.0, 1.0);

@@ -1,4 +1,4 @@
-//! What the motor is to do, and the current that does it, as [`decisions`](super::decisions) says.
+//! What the motor is to do and the current for it, as [`decisions`](super::decisions) says.
 
 mod loops;
 mod planner;
@@ -47,13 +47,13 @@ enum Plan {
 }
 
 impl Plan {
-    /// What a new command goes on from.
+    /// The plan from which a new command goes on.
     fn go_on(self, input: &Input) -> Self {
         match self {
             Self::Moves(profile) | Self::Waits(profile) => {
                 let away_deg = (profile.position_deg - input.angle_deg).abs();
                 let held = matches!(self, Self::Waits(_)) && input.speed_dps.abs() < STANDING_DPS;
-                // A shaft that was held back starts anew from where it is.
+                // A shaft that was held back starts again from where it is.
                 if held || away_deg >= LOST_PROFILE_DEG { Self::None } else { self }
             }
             Self::None => self,
@@ -61,7 +61,7 @@ impl Plan {
     }
 }
 
-/// What the controller works with.
+/// The inputs of the controller.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Input {
     pub(super) angle_deg: f64,
@@ -69,7 +69,7 @@ pub(super) struct Input {
     pub(super) current_a: f32,
     pub(super) stall_current_a: f32,
     pub(super) torque_constant_nm_per_a: f32,
-    /// The fastest that a profile may be, where its command sets no limit.
+    /// The highest speed of a profile whose command sets no limit.
     pub(super) max_speed_dps: f32,
 }
 
@@ -80,7 +80,7 @@ const STANDING_DPS: f32 = 1.0;
 /// are commanded.
 const THERE_DEG: f32 = 0.01;
 
-/// Farther than this from its profile, degrees, a shaft does not follow it any more.
+/// A shaft that is farther than this from its profile, degrees, no longer follows it.
 const LOST_PROFILE_DEG: f64 = 10.0;
 
 #[derive(Clone, Debug)]
@@ -123,7 +123,7 @@ impl Controller {
         }
     }
 
-    /// Takes a set-point, going on smoothly from what runs.
+    /// Takes a set-point, and goes on smoothly from what runs.
     pub(super) fn set(&mut self, set_point: SetPoint, input: &Input) {
         let before = self.task;
         self.task = match set_point {
@@ -152,7 +152,7 @@ impl Controller {
             }
         };
         if core::mem::discriminant(&before) != core::mem::discriminant(&self.task) {
-            // From one mode to the next the load's share of the current goes on.
+            // When the mode changes, the share of the current that the load takes stays.
             self.loops.restart(match before {
                 Task::Off => 0.0,
                 Task::Current { .. } | Task::Motion(_) => input.current_a,
@@ -170,7 +170,7 @@ impl Controller {
         }
     }
 
-    /// Where a ramp begins: at the ramp that runs, or at the speed measured.
+    /// Where a ramp begins: at the ramp that already runs, or at the measured speed.
     fn ramp_start(&self, input: &Input) -> f32 {
         match self.task {
             Task::Speed { now_dps, .. } | Task::Stopping { now_dps } => now_dps,
@@ -188,7 +188,7 @@ impl Controller {
         }
     }
 
-    /// One step of the loops: the output current, `None` for the output off.
+    /// Runs one step of the loops. Returns the output current, `None` for the output off.
     pub(super) fn step(
         &mut self,
         input: &Input,
@@ -210,7 +210,7 @@ impl Controller {
             Task::Motion(set_point) => (motion_current(set_point, input), stall_a),
             Task::Speed { target_dps, now_dps, limit_a } => {
                 let next_dps = ramp(*now_dps, *target_dps, speed_up, slow_down, dt);
-                // Heat may have lowered the drive's own since.
+                // Heat may have lowered the drive's own limit since.
                 let limit_a = limit_a.min(stall_a);
                 (follow(loops, gains, now_dps, next_dps, input, limit_a, dt), limit_a)
             }
@@ -269,7 +269,7 @@ impl Controller {
     }
 }
 
-/// The current that brings the shaft to `next_dps`, to which the ramp goes on from `now_dps`.
+/// The current that brings the shaft to `next_dps`, the next speed of the ramp after `now_dps`.
 fn follow(
     loops: &mut Loops,
     gains: &Gains,
@@ -288,8 +288,8 @@ fn follow(
     output.value
 }
 
-/// Whether a plan that goes on by `change_dps` asks for more of what a limit takes away already. Then it
-/// waits for the shaft: what it gained on it would have to be made good by overshooting.
+/// Whether a plan that changes by `change_dps` asks for more of what a limit already takes away. Then the plan waits
+/// for the shaft: a lead over the shaft would have to be made good by overshooting.
 fn runs_ahead(change_dps: f32, output: &Output) -> bool {
     change_dps * output.beyond > 0.0
 }

@@ -19,9 +19,9 @@ pub(crate) struct Pace {
 impl Profile {
     /// Moves on for `dt` seconds towards `target_deg`, and comes to rest exactly there.
     ///
-    /// Distances are compared as v² against 2·d·s, so no root is needed. While it brakes it uses the
-    /// deceleration that just reaches the target, v²/2s, which stays the same until it is there. A
-    /// target that is too close to stop at is passed, and come back to.
+    /// Distances are compared as v² against 2·d·s, so no root is needed. Braking uses the deceleration that just
+    /// reaches the target, v²/2s, which stays the same until the target is reached. A target that is too close to stop
+    /// at is passed, and then returned to.
     pub(crate) fn advance(&mut self, target_deg: f64, pace: &Pace, dt: f32) {
         let away = target_deg - self.position_deg;
         if away == 0.0 && self.speed_dps == 0.0 {
@@ -41,7 +41,7 @@ impl Profile {
         } else if speed > pace.max_speed_dps {
             (speed - braking * dt).max(pace.max_speed_dps)
         } else if stops(speed) {
-            // As much faster as leaves room to stop, in halves down to a thousandth.
+            // Faster by as much as leaves room to stop, found by halving down to a thousandth.
             let mut gain = pace.acceleration_dps2 * dt;
             let mut next = None;
             for _ in 0..=10 {
@@ -54,7 +54,7 @@ impl Profile {
             }
             match next {
                 Some(faster) => faster,
-                // At rest, and closer than one step can go: there.
+                // At rest, and closer than one step can go: arrived.
                 None if speed == 0.0 => return self.arrive(target_deg),
                 None => speed,
             }
@@ -75,9 +75,8 @@ impl Profile {
     }
 }
 
-/// The next speed on the way from `speed_dps` to `target_dps`: at the deceleration if it slows down and
-/// keeps its direction, else at the acceleration, which a reversal is from end to end. 0 for either means at
-/// once.
+/// The next speed on the way from `speed_dps` to `target_dps`. Uses the deceleration if the motor slows down and keeps
+/// its direction; otherwise the acceleration, which a reversal uses from end to end. 0 for either means at once.
 pub(crate) fn ramp(
     speed_dps: f32,
     target_dps: f32,
