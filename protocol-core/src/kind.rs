@@ -1,4 +1,4 @@
-//! [`Kind`]: a row of the table of opcodes, or what somebody says of a command that is not in it.
+//! [`Kind`]: a row of the table of opcodes, or what the caller says of a command that is not in it.
 
 use core::fmt;
 
@@ -8,8 +8,8 @@ use crate::id::Target;
 use crate::opcode::{Buses, Opcode, Reach, Repeat, ReplyRule, Usage};
 use crate::packet::Channel;
 
-/// What a master has to know of a command to send it and to know its answer: a row of the table, or
-/// what the caller says of a command that the table does not have.
+/// What a master has to know of a command to send it and to recognise its answer: a row of the table or, for a command
+/// that the table does not have, what the caller says of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -28,9 +28,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind of a command that claims to be of this kind, by its bytes: where the table has their
-    /// command byte, what the table says of it holds, so that nobody's own [`Command`](crate::Command)
-    /// gets round a rule by a wrong claim.
+    /// The kind of a command by its bytes, whatever kind it claims to be. If the table has the command byte, the table
+    /// holds, so that no [`Command`](crate::Command) of a caller's own evades a rule by a wrong claim.
     #[must_use]
     pub fn of_bytes(self, data: &Data) -> Self {
         if let Self::Known(Opcode::Motion) = self {
@@ -71,7 +70,7 @@ impl Kind {
         }
     }
 
-    /// What a second sending does. Of what the table does not know, the worst is assumed.
+    /// What a second sending does. For what the table does not know, the worst is assumed.
     pub const fn repeat(self) -> Repeat {
         match self {
             Self::Known(opcode) => opcode.repeat(),
@@ -79,12 +78,12 @@ impl Kind {
         }
     }
 
-    /// Whether it may set the motor in motion, let its load fall, or change the drive for good: while
-    /// the motors are stopped, it is refused ([`RequestError::Stopped`]).
+    /// Whether it may set the motor in motion, let its load fall, or change the drive for good. While the motors are
+    /// stopped, such a command is refused ([`RequestError::Stopped`]).
     ///
-    /// Of the table these are 0x77 and all whose repeat is not [harmless](Repeat::Harmless): set-points,
-    /// 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and 0xB6. All others pass:
-    /// reads, and 0x31, 0x78, 0x80 and 0x81, for example. Of a raw one its caller has said it.
+    /// In the table these are 0x77 and all whose repeat is not [harmless](Repeat::Harmless): set-points, 0xA8, the
+    /// restart, writes to ROM, 0x20, 0x79 (even its read), 0xB3, 0xB4 and 0xB6. All others pass: reads, and 0x31, 0x78,
+    /// 0x80 and 0x81, for example. For a raw command its caller decides.
     pub const fn is_refused_while_stopped(self) -> bool {
         match self {
             Self::Known(Opcode::ReleaseBrake) => true,
@@ -93,7 +92,7 @@ impl Kind {
         }
     }
 
-    /// Whether it ends motion: 0x80, 0x81, 0x78 and 0x76. Set-points that are older never follow it.
+    /// Whether it ends motion: 0x80, 0x81, 0x78 and 0x76. Older set-points never follow it.
     pub const fn ends_motion(self) -> bool {
         use Opcode::{LockBrake, Reset, Shutdown, Stop};
         matches!(self, Self::Known(Shutdown | Stop | LockBrake | Reset))
@@ -109,23 +108,23 @@ impl Kind {
         matches!(self, Self::Known(Opcode::Motion))
     }
 
-    /// Whether `reply` can be the answer to `command`: the same command byte and, where the kind has
-    /// one, the same key byte. Who sent it is the channel's affair.
+    /// Whether `reply` can be the answer to `command`: it has the same command byte and, if the kind has one, the same
+    /// key byte. The channel says who sent it.
     #[inline]
     pub fn answers(self, command: &Data, reply: &Data) -> bool {
         self.key(command) == self.key(reply) && self.byte().is_none_or(|byte| reply[0] == byte)
     }
 
-    /// The byte that a command and its reply share beside the first, where the kind has one.
+    /// The key byte, which a command and its reply share besides the command byte, if the kind has one.
     #[inline]
     pub(crate) fn key(self, data: &Data) -> Option<u8> {
         let at = self.opcode()?.key_byte()?;
         data.get(at).copied()
     }
 
-    /// Whether it may set the motor in motion: to a motor that has restarted it is refused
+    /// Whether it may set the motor in motion. Such a command is refused to a motor that has restarted
     /// ([`RequestError::Restarted`]).
-    // Once in the firmware: it is asked in many places.
+    // One copy in the firmware: this is asked in many places.
     #[inline(never)]
     pub const fn moves(self) -> bool {
         match self {
@@ -140,9 +139,9 @@ impl Kind {
         self.moves() || matches!(self, Self::Known(Opcode::ReleaseBrake))
     }
 
-    /// Whether a drive that answers a command with its own bytes only hands it back, as one that has lost its master does
-    /// with what it ignores. So it is with what moves: feedback is never the command, unless all of it is 0. What answers
-    /// a raw one its caller knows.
+    /// Whether a drive that answers a command with the command's own bytes only hands it back, as a drive that has lost
+    /// its master does with a command that it ignores. That is so for commands that move: their feedback never equals
+    /// the command, unless all of it is 0. For a raw command only its caller knows the answer.
     pub(crate) fn is_handed_back(self, data: &Data) -> bool {
         let [_, _, values @ ..] = data;
         *values != [0; 6] && matches!(self, Self::Known(_)) && self.moves()

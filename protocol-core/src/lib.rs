@@ -19,17 +19,16 @@
 //! | [`drive`] | the drive as a state machine, and [what it does where the manual is silent](drive::decisions) |
 //! | [`io`] | thin loops over embedded-can and embedded-io |
 //!
-//! Each imports from those before it only; `command` knows no frames and `wire` no meanings. State
+//! Each layer imports only from those above it in this table; `command` knows no frames and `wire` no meanings. State
 //! machines own no I/O and read no clock.
 //!
 //! # Where to start
 //! - To run motors: [`io::CanMaster`] or [`io::SerialMaster`], which are [`io::Runner`]s; in tasks
 //!   [`io::AsyncCanMaster`] or [`io::AsyncSerialMaster`].
-//! - To find them, change what they are set to, and move them to an angle: [`io::bring_up`].
-//! - To have them stopped however a loop is left: [`io::Guard`], in tasks [`io::guarded`].
-//! - To run them from your own loop, interrupt or executor: [`master::Master`].
-//! - To read a bus: [`wire::can::decode`] or [`wire::rs485::Receiver`], then [`AnyCommand`] and
-//!   [`AnyReply`].
+//! - To find motors, change their settings, and move them to an angle: [`io::bring_up`].
+//! - To stop the motors however a loop is left: [`io::Guard`], in tasks [`io::guarded`].
+//! - To run motors from your own loop, interrupt or executor: [`master::Master`].
+//! - To read a bus: [`wire::can::decode`] or [`wire::rs485::Receiver`], then [`AnyCommand`] and [`AnyReply`].
 //! - To stand in for a motor: [`drive::Drive`].
 //!
 //! The programs in `examples/` are made to be copied: `one_frame` by hand, a `bus_monitor`, and

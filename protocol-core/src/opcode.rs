@@ -11,17 +11,16 @@ use crate::firmware::Firmware;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[non_exhaustive]
 pub enum ReplyRule {
-    /// With the same eight bytes: an acknowledgement. (An RS485 adapter's echo of one's own bytes is
-    /// something else.)
+    /// With the same eight bytes: an acknowledgement. (An RS485 adapter's echo is something else.)
     Same,
     /// With values of its own under the same command byte.
     Values,
-    /// With the same eight bytes by the manual's text, but whatever value the reply carries
-    /// acknowledges: the manual's own example of 0xB3 returns zeros (2.31.4).
+    /// By the manual's text with the same eight bytes, but whatever value the reply carries acknowledges: in the
+    /// manual's own example the reply to 0xB3 is zeros (2.31.4).
     Acknowledge,
     /// Not at all (0x76, 0xB6).
     Silent,
-    /// With bytes that mean nothing, because the bus has just changed speed (0xB4): never wait.
+    /// With bytes that mean nothing, because the bus has just changed speed (0xB4): never wait for them.
     Garbled,
 }
 
@@ -35,7 +34,7 @@ impl ReplyRule {
 /// What a second sending of the same command does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Repeat {
-    /// Nothing more than the first: reads, stop and shutdown, brake, RAM writes.
+    /// Nothing beyond the first: reads, stop and shutdown, brake, RAM writes.
     Harmless,
     /// It moves the motor to a set-point that may be stale by then.
     Stale,
@@ -52,14 +51,14 @@ pub enum Buses {
     CanOnly,
 }
 
-/// Whom a command can be sent to.
+/// Which motors a command can be sent to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Reach {
     /// To one motor, or to [all](crate::Target::All) at once (2, 3, 6).
     OneOrAll,
     /// To one motor only (5).
     One,
-    /// To whatever is connected; it names no motor (4, 7).
+    /// To all that are connected; it names no motor (4, 7).
     Connected,
 }
 
@@ -68,7 +67,7 @@ pub enum Reach {
 pub enum Usage {
     /// For nothing else.
     Plain,
-    /// Its reply can be reported by itself (0xB6, 2.34.2).
+    /// The drive can send its reply unasked (0xB6, 2.34.2).
     Report,
     /// It moves the motor on: each one counts, so it is no set-point (0xA8).
     Move,
@@ -228,8 +227,8 @@ macro_rules! opcodes {
                 match self { $(Self::$name => ReplyRule::$reply,)+ }
             }
 
-            /// The place of the byte that, beside the command byte, must agree between command and
-            /// reply: a parameter's index, or read and write of a bus id.
+            /// The place of the byte that must agree between command and reply, besides the command byte: a parameter's
+            /// index, or read and write of a bus id.
             pub const fn key_byte(self) -> Option<usize> {
                 match self { $(Self::$name => opcodes!(@option $key),)+ }
             }
@@ -244,7 +243,7 @@ macro_rules! opcodes {
                 match self { $(Self::$name => Buses::$buses,)+ }
             }
 
-            /// Whom it can be sent to.
+            /// Which motors it can be sent to.
             pub const fn reach(self) -> Reach {
                 match self { $(Self::$name => Reach::$reach,)+ }
             }
@@ -384,7 +383,7 @@ impl fmt::Display for Opcode {
     }
 }
 
-/// By its name in every format: a place in the table would mean another command once a row is added.
+/// By its name in every format: once a row is added, a place in the table would mean another command.
 #[cfg(feature = "serde")]
 impl serde::Serialize for Opcode {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -409,8 +408,8 @@ impl<'de> serde::Deserialize<'de> for Opcode {
     }
 }
 
-/// The command byte of a frame that drives were seen to send once a second after they lost their
-/// master. The manual does not know it; it is never the reply to a request.
+/// The command byte of a frame that drives were seen to send once a second after they lost their master. The manual
+/// does not describe it; it is never the reply to a request.
 pub const LOST_MASTER_BYTE: u8 = 0xF1;
 
 #[cfg(test)]

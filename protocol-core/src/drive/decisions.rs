@@ -57,6 +57,8 @@
 //!   encoder on the motor shaft, of the motor shaft;
 //! - the position: the raw position less the zero offset (2.6.3).
 //!
+//! Decisions about them:
+//!
 //! - At a start without saved turns the angle is within half a turn of the zero: -180° to less than
 //!   180°. With one encoder it is within half a turn of the motor shaft, as such drives report.
 //! - With saved turns (function 4) the raw position is the closest to the saved one that the shaft's place allows. That

@@ -1,9 +1,9 @@
-//! What makes a quantity's type from one line: its range, its scale, and how it is converted.
+//! The macro that makes a quantity's type from one line: its range, its scale, and its conversions.
 
 /// One quantity: its integer on the wire, its name, its unit, and a step in that unit.
 ///
 /// - `in` restricts the numbers on the wire; without it every one is allowed.
-/// - `zero` says what 0 means where it is no amount: then nothing else is ever rounded to it.
+/// - `zero` says what 0 means if it is not an amount. Then nothing else is ever rounded to it.
 /// - `floats` and `doubles` name the conversions from the unit, to the nearest allowed value and to
 ///   the unit; `radians` those from and to radians, over the conversions in degrees.
 /// - `arithmetic` gives it `-x`, `x + y` and `x - y`.
@@ -65,7 +65,7 @@ macro_rules! quantity {
             }
         }
     };
-    // A 0 that means "no limit" is nobody's default.
+    // A 0 that means "no limit" must not be a default.
     (@default $name:ident [$($zero:literal)?] [$($min:literal)?]) => {};
     (@raw $name:ident $raw:ident []) => {
         impl $name {
@@ -240,7 +240,7 @@ macro_rules! quantity {
         }
     };
     (@arithmetic $name:ident) => {
-        /// The most positive amount for the most negative.
+        /// For the most negative amount, returns the most positive.
         impl core::ops::Neg for $name {
             type Output = Self;
             fn neg(self) -> Self {
@@ -248,7 +248,7 @@ macro_rules! quantity {
             }
         }
 
-        /// The end of the range where the sum lies beyond it.
+        /// If the sum lies beyond the range, returns the end of the range.
         impl core::ops::Add for $name {
             type Output = Self;
             fn add(self, other: Self) -> Self {
@@ -256,7 +256,7 @@ macro_rules! quantity {
             }
         }
 
-        /// The end of the range where the difference lies beyond it.
+        /// If the difference lies beyond the range, returns the end of the range.
         impl core::ops::Sub for $name {
             type Output = Self;
             fn sub(self, other: Self) -> Self {

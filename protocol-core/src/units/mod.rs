@@ -1,10 +1,9 @@
 //! Quantities: the integer on the wire, and what it means in the unit of the manual.
 //!
-//! One type a quantity, so that a speed limit cannot be passed as an angle, and one place for each
-//! scale. `raw` is the integer on the wire. The conversions from floats round to the nearest step
-//! and refuse what does not fit; `saturating_*` takes the nearest allowed amount instead. Both
-//! refuse NaN: for a position there is no harmless number to put in its place. Where 0 means
-//! something of its own ("no limit"), only exactly 0 becomes it.
+//! Each quantity has a type of its own, so that a speed limit cannot be passed as an angle, and one place for its
+//! scale. `raw` is the integer on the wire. The conversions from floats round to the nearest step and refuse what does
+//! not fit; `saturating_*` takes the nearest allowed amount instead. Both refuse NaN: for a position there is no
+//! harmless number to put in its place. If 0 has a meaning of its own ("no limit"), only exactly 0 becomes it.
 //!
 //! ```
 //! use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
@@ -103,8 +102,8 @@ quantity! {
 }
 
 quantity! {
-    /// Measured angle within one turn, 0.01 degrees a step: 0 to 359.99 degrees by 2.13.3, and whatever
-    /// a drive reports, for one that reports a whole turn as 360 degrees is no reason to lose a reading.
+    /// Measured angle within one turn, 0.01 degrees a step: 0 to 359.99 degrees by 2.13.3. Any value that a drive
+    /// reports is kept: a whole turn reported as 360 degrees is no reason to lose a reading.
     ReportedSingleTurnAngle(u16 put_u16 get_u16) "single-turn angle" Degree, step 1/100
     ; floats from_degrees saturating_from_degrees degrees
     ; radians from_radians radians by from_degrees degrees
@@ -233,12 +232,12 @@ impl Gain {
     }
 }
 
-// A gain is finite, so that each equals itself.
+// A gain is finite, so each equals itself.
 impl Eq for Gain {}
 
 impl core::hash::Hash for Gain {
     fn hash<H: core::hash::Hasher>(&self, state: &mut H) {
-        // The sum makes -0.0, which equals 0.0, the same bits.
+        // The sum turns -0.0, which equals 0.0, into the same bits.
         (self.0 + 0.0).to_bits().hash(state);
     }
 }
