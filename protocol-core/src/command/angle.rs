@@ -10,8 +10,7 @@ command! {
 reply! {
     /// Multi-turn angle of the output shaft, from its zero (2.12.3).
     ///
-    /// After a restart a drive that does not save its turns (function 4) counts from within half a
-    /// turn of zero again.
+    /// After a restart a drive that does not save its turns (function 4) starts again within half a turn of zero.
     MultiTurnAngle {
         /// The angle.
         angle: Angle => 4,
@@ -19,8 +18,8 @@ reply! {
 }
 
 command! {
-    /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13). Firmware V4.4 answers the same
-    /// bytes with another layout: see [`ReadSingleTurnAngleV4_4`].
+    /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13). Firmware V4.4 answers the same bytes with
+    /// another layout: see [`ReadSingleTurnAngleV4_4`].
     ReadSingleTurnAngle -> SingleTurnAngle
 }
 

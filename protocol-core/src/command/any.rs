@@ -45,7 +45,7 @@ macro_rules! any {
         }
 
         impl AnyCommand {
-            /// What a master has to know of it.
+            /// What a master has to know of this command.
             pub fn kind(&self) -> Kind {
                 match self {
                     $(Self::$name(_) => Kind::Known(Opcode::$name),)+

@@ -1,8 +1,8 @@
 //! The holding brake (manual 2.27 and 2.28).
 //!
-//! Opening takes a brake 50 to 150 ms; a motor that is driven before that works against it, and a load falls as soon as it
-//! opens unless the motor holds (0x81): [`bring_up::release_brake`](crate::io::bring_up::release_brake) does both. Locking
-//! takes time, too: a load falls if the output goes off before (0x80).
+//! A brake takes 50 to 150 ms to open. A motor that is driven before that works against it, and a load falls as soon as
+//! it opens unless the motor holds (0x81); [`bring_up::release_brake`](crate::io::bring_up::release_brake) takes care
+//! of both. Locking takes time, too: a load falls if the output goes off before (0x80).
 
 command! {
     /// Open the brake: 0x77 (2.27). The reply is the same frame, and comes before the brake is open.

@@ -33,9 +33,9 @@ const NEW_ID: Field =
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum BusId {
-    /// Who is there? Every motor answers.
+    /// Asks which motors are there. Every motor answers.
     Read,
-    /// Take this id, every motor that hears it.
+    /// Tells every motor that hears it to take this id.
     Write(MotorId),
 }
 
@@ -49,7 +49,7 @@ impl BusId {
         }
     }
 
-    /// The command to whatever is connected.
+    /// The command to all that are connected.
     pub const fn packet(&self) -> Packet {
         Packet { channel: Channel::BusId, data: self.encode() }
     }
@@ -86,7 +86,7 @@ pub enum BusIdReply {
 }
 
 impl BusIdReply {
-    /// The id, in whichever form it came.
+    /// The id, in either form.
     pub const fn id(&self) -> MotorId {
         match *self {
             Self::Written(id) | Self::OnCan(id) | Self::OnRs485(id) => id,
@@ -94,8 +94,8 @@ impl BusIdReply {
     }
 }
 
-/// The id that a drive reports in its last two bytes, 0 for none: a reply identifier, or a bare id in
-/// either byte, for the table and the example of 7 disagree about which.
+/// The id that a drive reports in its last two bytes, 0 for none. It is a reply identifier, or a bare id in either
+/// byte, because the table and the example of 7 disagree about which.
 pub(super) const fn told_id(told: u16) -> u8 {
     match told.to_le_bytes() {
         [low, 0x02] if low >= 0x41 && low <= 0x60 => low - 0x40,

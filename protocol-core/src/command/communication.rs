@@ -10,12 +10,12 @@ command! {
     /// Set after how long without a command the drive cuts its output and locks the brake: 0xB3
     /// (2.31). It is kept in ROM. Not while the motor starts or moves.
     ///
-    /// To run again, the drive needs steady, continuous communication first (2.31.1): it can run once the
-    /// gaps between commands are within this time again (2.31.4). Without the protection, a motor whose
-    /// master falls silent goes on with its last command (2.31.4).
+    /// To run again, the drive first needs steady, continuous communication (2.31.1): it can run once the gaps between
+    /// commands are within this time again (2.31.4). Without the protection, a motor whose master falls silent goes on
+    /// with its last command (2.31.4).
     ///
-    /// The manual says that the reply is the same frame; its own example returns zeros. So any reply
-    /// acknowledges, and its value is handed on for what it is.
+    /// By the manual the reply is the same frame, but its own example returns zeros. So any reply acknowledges, and its
+    /// value is handed on unchanged.
     CommunicationLossProtection -> Self {
         /// The longest silence; 0 switches the protection off.
         timeout: Milliseconds => 4,
@@ -23,8 +23,8 @@ command! {
 }
 
 code! {
-    /// The bit rates that the manual gives a code (2.32.4). It names none for the 1.5 and
-    /// 2.5 Mbit/s of RS485; [`from_raw`](Self::from_raw) takes any other code.
+    /// The bit rates that the manual gives a code (2.32.4). It gives none for the 1.5 and 2.5 Mbit/s of RS485;
+    /// [`from_raw`](Self::from_raw) takes any other code.
     BaudCode "baud code" {
         /// CAN at 500 kbit/s, RS485 at 115200 bit/s.
         CAN_500K_RS485_115200 = 0 "can-500k-rs485-115200",
@@ -57,18 +57,16 @@ impl BaudCode {
 }
 
 command! {
-    /// Set the bit rate of the bus, in ROM: 0xB4 (2.32). It acts when the drive is powered on again
-    /// (2.32.1). What comes back means nothing, and need not be at the old rate (2.32.3): do not wait for
-    /// a reply.
+    /// Set the bit rate of the bus, in ROM: 0xB4 (2.32). It acts when the drive is powered on again (2.32.1). What
+    /// comes back means nothing, and need not be at the old rate (2.32.3): do not wait for a reply.
     SetBaudRate -> NoReply {
         /// The new rate.
         baud_rate: BaudCode => 7,
     }
 }
 
-/// What a drive can report by itself, by its command byte (2.34.2): the kinds of [`Usage::Report`] in
-/// the table. (0x9E stands in the manual's list too, but the manual describes no such command; it has
-/// no name here.)
+/// What a drive can report unasked, by its command byte (2.34.2): the kinds of [`Usage::Report`] in the table. (The
+/// manual's list also has 0x9E, but it describes no such command; it has no name here.)
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ReportedCommand(u8);
@@ -166,9 +164,8 @@ impl Switch {
 }
 
 command! {
-    /// Have the reply to a read command sent by itself at an interval: 0xB6 (2.34), CAN only.
-    /// Several commands take turns. There is no reply, and from then on the drive does not answer
-    /// when it is asked for what it reports.
+    /// Have the drive send the reply to a read command unasked, at an interval: 0xB6 (2.34), CAN only. Several commands
+    /// take turns. There is no reply, and from then on the drive does not answer when it is asked for what it reports.
     ActiveReply -> NoReply {
         /// Whose reply.
         command: ReportedCommand => 1,

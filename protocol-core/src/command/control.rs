@@ -1,9 +1,8 @@
 //! Commands that move or stop the motor (manual 2.17 to 2.24).
 //!
-//! The manual says of 0xA1, 0xA2, 0xA4, 0xA8 and 0xA9 that they run only while the motor has no fault
-//! (2.19.1, 2.20.1, 2.21.1, 2.23.1, 2.24.1); of 0xA6 and motion mode it says nothing. Nor does it say
-//! what a drive with a fault answers: that feedback comes back does not show that the command runs. The
-//! errors are in [`Status1`](crate::command::Status1).
+//! By the manual 0xA1, 0xA2, 0xA4, 0xA8 and 0xA9 run only while the motor has no fault (2.19.1, 2.20.1, 2.21.1, 2.23.1,
+//! 2.24.1); of 0xA6 and motion mode it says nothing. Nor does it say what a drive with a fault answers, so feedback
+//! does not show that the command runs. The errors are in [`Status1`](crate::command::Status1).
 
 use crate::command::status::Feedback;
 use crate::units::{
@@ -12,16 +11,17 @@ use crate::units::{
 };
 
 command! {
-    /// Switch the output off and leave every control mode: 0x80 (2.17). The shaft is free to turn
-    /// unless a brake holds it, which takes its time to lock: see
-    /// [`StopKind::Off`](crate::master::StopKind::Off). The reply is the same frame. A stream goes on after it: what keeps
-    /// a motor stopped is [`Master::stop`](crate::master::Master::stop).
+    /// Switch the output off and leave every control mode: 0x80 (2.17). The reply is the same frame.
+    ///
+    /// The shaft is free to turn unless a brake holds it, which takes its time to lock: see
+    /// [`StopKind::Off`](crate::master::StopKind::Off). A stream goes on after this command; to keep a motor stopped
+    /// use [`Master::stop`](crate::master::Master::stop).
     Shutdown -> Self
 }
 
 command! {
-    /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame. A stream
-    /// goes on after it: what keeps a motor stopped is [`Master::stop`](crate::master::Master::stop).
+    /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame. A stream goes on after
+    /// this command; to keep a motor stopped use [`Master::stop`](crate::master::Master::stop).
     Stop -> Self
 }
 
@@ -47,9 +47,8 @@ command! {
 }
 
 command! {
-    /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). It runs only without a fault.
-    /// With a position planning acceleration of 0 the drive tracks the angle directly, else along a
-    /// planned profile.
+    /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). It runs only without a fault. With a position
+    /// planning acceleration of 0 the drive tracks the angle directly, otherwise along a planned profile.
     AbsolutePosition -> Feedback {
         /// The fastest turning on the way.
         max_speed: MaxSpeed => 2,
@@ -69,8 +68,7 @@ code! {
 }
 
 command! {
-    /// Go to an angle within one turn: 0xA6 (2.22), for direct-drive motors in single-turn mode, which
-    /// is that with function 4 off.
+    /// Go to an angle within one turn: 0xA6 (2.22), for direct-drive motors in single-turn mode (function 4 off).
     SingleTurnPosition -> SingleTurnFeedback {
         /// Which way to turn.
         direction: Direction => 1,

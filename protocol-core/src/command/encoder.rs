@@ -42,9 +42,11 @@ reply! {
 }
 
 command! {
-    /// Make a given raw position the zero, in ROM: 0x63 (2.9). It takes effect after a restart; from
-    /// then on targets count from the new zero (2.9.1), so that one which was right before leads
-    /// elsewhere. Not while the motor starts or moves. The reply is the same frame.
+    /// Make a given raw position the zero, in ROM: 0x63 (2.9). Not while the motor starts or moves. The reply is the
+    /// same frame.
+    ///
+    /// It takes effect after a restart. From then on targets count from the new zero (2.9.1), so a target that was
+    /// right before leads elsewhere.
     SetEncoderZero -> Self {
         /// The raw position that becomes the zero.
         offset: EncoderPulses => 4,
@@ -52,9 +54,11 @@ command! {
 }
 
 command! {
-    /// Make the current position the zero, in ROM: 0x64 (2.10). It takes effect after
-    /// [`Reset`](crate::command::Reset); from then on targets count from the new zero (2.10.1), as with
-    /// [`SetEncoderZero`]. Not while the motor starts or moves. The reply holds the new offset.
+    /// Make the current position the zero, in ROM: 0x64 (2.10). Not while the motor starts or moves. The reply holds
+    /// the new offset.
+    ///
+    /// It takes effect after [`Reset`](crate::command::Reset). From then on targets count from the new zero (2.10.1),
+    /// as with [`SetEncoderZero`].
     SetCurrentPositionZero -> MultiTurnEncoderOffset
 }
 

@@ -1,4 +1,4 @@
-//! The description of a field: what the macros of [`layout`](super::layout) make beside the code.
+//! The description of a field: what the macros of [`layout`](super::layout) make besides the code.
 
 use core::fmt;
 
@@ -8,8 +8,7 @@ use crate::quantity::{Form, OutOfRange, Place, Quantity, Steps};
 use crate::round::round_f64;
 use crate::units::decimal;
 
-/// One field of a command or reply: its name, meaning and quantity, where it lies, and a way to read
-/// and to write it.
+/// One field of a command or reply: its name, meaning, quantity and place, and a way to read and to write it.
 ///
 /// ```
 /// use myactuator_protocol_core::Opcode;
@@ -73,7 +72,7 @@ impl Field {
         Self { when: When::NoneOf(at, codes), ..self }
     }
 
-    /// Its name with its unit behind it, for programs: `"max_speed_dps"`.
+    /// Its name followed by its unit, for programs: `"max_speed_dps"`.
     pub fn key(&self) -> Key {
         Key(self.name, self.quantity.unit.key())
     }
@@ -123,7 +122,7 @@ impl Field {
         Ok(())
     }
 
-    /// As text for people, with name and unit; a motion value on these scales, or as its step where
+    /// As text for people, with name and unit. A motion value is converted by these scales, or printed as its step if
     /// they are not known.
     pub(super) fn print(
         &self,
@@ -158,7 +157,7 @@ impl Field {
             Form::Text => write!(f, "{}", ModelName::of(data)),
             Form::ReplyIdentifier => write!(f, "{raw}"),
             Form::Motion(scale) => match ranges {
-                // Beyond a few decimals it is an accident of the scale.
+                // Further decimals come from the scale by accident.
                 Some(ranges) => {
                     let value = round_f64(ranges.value(scale, raw as u16) * 1e4) / 1e4;
                     write!(f, "{value} {symbol}")

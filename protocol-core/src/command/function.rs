@@ -60,7 +60,7 @@ pub enum FunctionControl {
     Other(OtherFunction),
 }
 
-/// A special function that has no name here, so that it can never be one that has.
+/// A special function without a name here. It can never be one that has a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

@@ -8,7 +8,7 @@ use crate::command::Field;
 use crate::data::Data;
 use crate::error::DecodeError;
 
-/// What fills a data field behind its command byte: a command or a reply.
+/// What fills a data field after its command byte: a command or a reply.
 pub trait Fields: Sized + 'static {
     /// What each field is and where it lies, in the order of the manual's tables.
     const FIELDS: &'static [Field];
@@ -179,7 +179,7 @@ macro_rules! reply_type {
     ($name:ident) => {
         impl $crate::command::Reply for $name {}
 
-        /// The reply if it is of this type, else the other one back.
+        /// Returns the reply if it is of this type, and otherwise the other one unchanged.
         impl TryFrom<$crate::AnyReply> for $name {
             type Error = $crate::AnyReply;
             fn try_from(reply: $crate::AnyReply) -> Result<Self, $crate::AnyReply> {
@@ -220,8 +220,8 @@ macro_rules! reply {
     };
 }
 
-/// A one-byte code. It holds any byte; those that the manual names have constants, so that a code
-/// without a name can never be taken for one with a name.
+/// A one-byte code. It holds any byte. The codes that the manual names have constants, so a code without a name can
+/// never be taken for one with a name.
 macro_rules! code {
     ($(#[$attr:meta])* $name:ident $what:literal {
         $($(#[doc = $doc:literal])+ $variant:ident = $raw:literal $kebab:literal,)+

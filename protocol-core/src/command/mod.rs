@@ -1,13 +1,13 @@
-//! What the data field of every frame means: one file a chapter of the manual, and in it, side by
-//! side, each command, its reply and their tests.
+//! What the data field of every frame means. Each chapter of the manual has a file, which has each command, its reply
+//! and their tests side by side.
 //!
 //! Every type encodes *and* decodes: a master uses one half, a drive the other, a monitor both.
-//! [`Command`] ties a command to its reply; [`AnyCommand`] and [`AnyReply`] hold any of them, for
-//! those who meet frames that they did not ask for.
+//! [`Command`] ties a command to its reply. [`AnyCommand`] and [`AnyReply`] hold any of them, for programs that receive
+//! frames that they did not ask for.
 //!
 //! # Commands
-//! What a drive answers, and when, is a [`ReplyRule`](crate::opcode::ReplyRule). Identifiers, buses and
-//! firmware stand in the table of [`Opcode`].
+//! A [`ReplyRule`](crate::opcode::ReplyRule) says what a drive answers, and when. Identifiers, buses and firmware are
+//! in the table of [`Opcode`].
 //!
 //! | command | byte | manual | answered | what it does |
 //! |---|---|---|---|---|
@@ -91,8 +91,7 @@ pub trait Command: Sized {
     /// What a drive answers.
     type Reply: Reply;
 
-    /// What a master has to know of it: its row in the table. If the bytes say another one, the bytes'
-    /// holds.
+    /// What a master has to know of it: its row in the table. If the bytes name another row, that one counts.
     fn kind(&self) -> Kind;
 
     /// The data field.
@@ -105,8 +104,7 @@ pub trait Command: Sized {
     fn decode_reply(data: &Data) -> Result<Self::Reply, DecodeError>;
 }
 
-/// An answer. Several commands share some of them ([`Feedback`] above all), so that the command byte
-/// is given from outside.
+/// An answer. Several commands share one ([`Feedback`] above all), so the command byte comes from outside.
 pub trait Reply: Fields {
     /// The data field of this answer to a command of kind `to`.
     fn encode(&self, to: Opcode) -> Data {
@@ -124,8 +122,8 @@ pub trait Reply: Fields {
     }
 }
 
-/// What comes of commands that have no reply, or none with a meaning (0x76, 0xB4, 0xB6): they are over when
-/// they were sent.
+/// The outcome of commands that have no reply, or none with a meaning (0x76, 0xB4, 0xB6): they are over when they were
+/// sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct NoReply;
@@ -149,8 +147,8 @@ impl Fields for NoReply {
     }
 }
 
-/// Whether this command is over only when its reply has come. Function 5 (0x20) is over when it was sent:
-/// drives were seen to obey it without the acknowledgement that 2.35.3 promises. One that comes is a stray.
+/// Whether this command is over only when its reply has come. Function 5 (0x20) is over when it was sent: drives were
+/// seen to obey it without the acknowledgement that 2.35.3 promises. An acknowledgement that does come is a stray.
 pub fn awaits_reply(kind: Kind, command: &Data) -> bool {
     let sets_id = kind == Kind::Known(Opcode::FunctionControl)
         && command[1] == FunctionIndex::SET_CAN_ID.raw();
@@ -175,9 +173,9 @@ fn expect_opcode(data: &Data, expected: Opcode) -> Result<(), DecodeError> {
     }
 }
 
-/// A command that replaces the one before it: where to be, how fast to turn, how hard to push. It
-/// may be sent over and over, and an old one must never follow a new one. The kinds of
+/// A command that replaces the one before it: where to be, how fast to turn, how hard to push. It may be sent over and
+/// over, but an old one must never follow a new one. These are the kinds of
 /// [`Usage::SetPoint`](crate::opcode::Usage::SetPoint) in the table.
 ///
-/// [`IncrementalPosition`] is none: each sending moves the motor on.
+/// [`IncrementalPosition`] is not one: each sending moves the motor on.
 pub trait SetPoint: Command {}

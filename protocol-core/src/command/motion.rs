@@ -1,9 +1,9 @@
 //! Motion (MIT) mode: position, speed, both gains and torque in one frame (manual 5). CAN only.
 //!
-//! On the bus every value is a step on a linear scale. Which scale, depends on the drive's firmware,
-//! and a wrong one multiplies the torque; so the scale is a value,
-//! [`MotionRanges`](super::MotionRanges), that turns a [`MotionSetPoint`](super::MotionSetPoint) into a
-//! [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`](super::MotionFeedback).
+//! On the bus every value is a step on a linear scale. The scale depends on the drive's firmware, and a wrong one
+//! multiplies the torque. So the scale is a value, [`MotionRanges`](super::MotionRanges): it turns a
+//! [`MotionSetPoint`](super::MotionSetPoint) into a [`RawMotion`], and a [`RawMotionFeedback`] into a
+//! [`MotionFeedback`](super::MotionFeedback).
 //!
 //! ```
 //! use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint};
@@ -119,7 +119,7 @@ impl RawMotion {
         [a, b, c, d, e, f, g, h]
     }
 
-    /// The command from a data field: every one means something.
+    /// The command from a data field. Every data field means something.
     #[inline]
     pub const fn decode(data: &Data) -> Self {
         let [a, b, c, d, e, f, g, h] = *data;
@@ -183,8 +183,8 @@ const fn scaled(
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RawMotionFeedback {
-    /// What the drive says its id is: 0 to 32 by 5.4, and whatever else on the bus. The
-    /// identifier alone says who answers; this byte is handed on and decides nothing.
+    /// The id by which the drive calls itself: 0 to 32 by 5.4, but any value may come. Only the identifier says who
+    /// answers; this byte is handed on and decides nothing.
     pub id_byte: u8,
     /// Measured position.
     pub position: u16,
@@ -204,7 +204,7 @@ impl RawMotionFeedback {
         [self.id_byte, b, c, d, e, f, 0, 0]
     }
 
-    /// The answer from a data field: every one means something.
+    /// The answer from a data field. Every data field means something.
     #[inline]
     pub const fn decode(data: &Data) -> Self {
         let [id_byte, b, c, d, e, f, ..] = *data;

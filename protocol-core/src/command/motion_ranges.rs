@@ -55,8 +55,8 @@ pub struct MotionOutOfRange {
 
 /// The scales of motion mode: where the first and last step of each value lie (5.1).
 ///
-/// They differ between firmware versions, and sending steps of one scale to a drive of another
-/// multiplies its torque. Use [`V4_3`](Self::V4_3) for drives of this protocol version only.
+/// They differ between firmware versions, and steps of one scale sent to a drive with another multiply its torque. Use
+/// [`V4_3`](Self::V4_3) only for drives of this protocol version.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -81,10 +81,10 @@ pub struct MotionLimits {
     pub torque_nm: f32,
 }
 
-/// The step of `value` on a scale of `last + 1` steps from `-max` to `max`; any step for a value that
-/// is not on the scale. The middle of the scale lies between two steps and goes to the upper one, as
-/// all halves do. The manual's own example (10 rad) is such a half, and multiplying by
-/// a rounded constant still finds it on the scales of V4.3, as the tests show.
+/// The step of `value` on a scale of `last + 1` steps from `-max` to `max`; any step for a value that is not on the
+/// scale. The middle of the scale lies between two steps and goes to the upper one, as all halves do. The manual's own
+/// example (10 rad) is such a half. Multiplying by a rounded constant still finds it on the scales of V4.3, as the
+/// tests show.
 #[inline(always)]
 const fn symmetric_step(value: f32, max: f32, last: f32) -> i32 {
     let steps_per_unit = last / (max + max); // a constant where the scale is
@@ -94,8 +94,8 @@ const fn symmetric_step(value: f32, max: f32, last: f32) -> i32 {
 /// The same on a scale of 4096 steps from 0 to `max`.
 #[inline(always)]
 const fn gain_step(value: f32, max: f32) -> i32 {
-    // A half less than a step of f32: the sum of what is just below a half and one half itself would
-    // be rounded up to the next whole number.
+    // A half less than a step of f32. With one half itself, the sum for a value just below a half would be rounded up
+    // to the next whole number.
     const BELOW_HALF: f32 = 0.5 - f32::EPSILON / 4.0;
     (value * (LAST_12 / max) + BELOW_HALF) as i32
 }
@@ -182,7 +182,7 @@ impl MotionRanges {
         ]
     }
 
-    /// What a step of a scale means, for those who want more digits than an `f32` has.
+    /// The value of a step of a scale, for callers that want more digits than an `f32` has.
     pub const fn value(&self, scale: MotionScale, step: u16) -> f64 {
         let (min, max) = self.ends(scale);
         min as f64 + step as f64 * (max as f64 - min as f64) / last_step(scale) as f64
@@ -226,8 +226,8 @@ impl MotionRanges {
     ) -> Result<RawMotion, MotionOutOfRange> {
         let steps = self.steps(set_point);
         let [position, velocity, kp, kd, torque] = steps;
-        // Comparing steps takes half the instructions of comparing floats, and leaves only the ends
-        // of the scales in doubt.
+        // Comparing steps takes half the instructions of comparing floats, and leaves only the ends of the scales in
+        // doubt.
         let certain = is_inner(position, LAST_16)
             & is_inner(velocity, LAST_12)
             & is_inner(kp, LAST_12)
@@ -249,8 +249,8 @@ impl MotionRanges {
         ]
     }
 
-    /// As [`quantise`](Self::quantise), for a set-point of which a value is at an end of its scale or
-    /// beyond. It does everything anew, so that the other one keeps nothing for it.
+    /// As [`quantise`](Self::quantise), for a set-point with a value at an end of its scale or beyond. It does
+    /// everything again, so that `quantise` itself keeps nothing for it.
     #[inline(never)]
     const fn quantise_near_ends(
         &self,
@@ -350,8 +350,8 @@ impl From<MotionRanges> for MotionLimits {
 }
 
 impl Firmware {
-    /// The scales of its motion mode, where they are the same for all its motors. Those of V4.4 depend on
-    /// the motor's largest torque: whoever knows it makes them with [`MotionRanges::new`].
+    /// The scales of its motion mode, if they are the same for all its motors. Those of V4.4 depend on the motor's
+    /// largest torque: if you know that, make them with [`MotionRanges::new`].
     pub const fn motion_ranges(self) -> Option<MotionRanges> {
         match self {
             Self::V4_3 => Some(MotionRanges::V4_3),

@@ -11,11 +11,11 @@ use crate::packet::{Channel, Packet};
 /// The fields of a data field as text: `max speed 500 dps, angle 360 deg`.
 #[derive(Clone, Copy, Debug)]
 pub struct Phrase<'a> {
-    /// Which fields; those that this data field does not have are passed over.
+    /// Which fields. Those that this data field does not have are left out.
     pub fields: &'a [Field],
     /// The data field.
     pub data: &'a Data,
-    /// The scales of motion mode. Where they are not known its values are printed as steps.
+    /// The scales of motion mode. If they are not known, its values are printed as steps.
     pub ranges: Option<&'a MotionRanges>,
 }
 
@@ -70,7 +70,7 @@ impl Display for AnyReply {
     }
 }
 
-/// A packet as text, as a firmware means it: see [`Packet::as_of`].
+/// A packet as text, as read by one firmware: see [`Packet::as_of`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PacketText {
     packet: Packet,
@@ -92,8 +92,7 @@ impl Packet {
     }
 }
 
-/// As every firmware means it. Where they differ (0x94) only the bytes are printed: see
-/// [`as_of`](Packet::as_of).
+/// As all firmwares read it. Where they differ (0x94), only the bytes are printed: see [`as_of`](Packet::as_of).
 impl Display for Packet {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let is_motion = matches!(self.channel, Channel::Motion(_) | Channel::MotionReply(_));

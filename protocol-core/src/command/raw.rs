@@ -13,10 +13,10 @@ use crate::packet::Packet;
 /// A command of the caller's own: eight bytes, how a drive answers them, and whether they may move the
 /// motor. For commands that this library does not know, or knows with another layout.
 ///
-/// It is never sent twice by itself, and one that may move is
-/// [refused while the motors are stopped](Kind::is_refused_while_stopped).
-/// Where the table has its command byte, what the table says of it holds. A reply that begins with 0xF1
-/// is taken for that of a [lost master](crate::opcode::LOST_MASTER_BYTE), so 0xF1 is never answered.
+/// It is never resent automatically, and one that may move the motor is [refused while the motors are
+/// stopped](Kind::is_refused_while_stopped). If the table has its command byte, what the table says of it holds. A
+/// reply that begins with 0xF1 is taken for that of a [lost master](crate::opcode::LOST_MASTER_BYTE), so 0xF1 is never
+/// answered.
 ///
 /// ```
 /// use myactuator_protocol_core::command::RawCommand;
@@ -40,8 +40,8 @@ pub struct RawCommand {
 }
 
 impl RawCommand {
-    /// The command with these eight bytes, the command byte first. `moves` says whether it may set the
-    /// motor in motion or let its load fall; in doubt, it may.
+    /// The command with these eight bytes, the command byte first. `moves` says whether it may set the motor in motion
+    /// or let its load fall; if in doubt, pass `true`.
     pub const fn new(data: Data, reply: ReplyRule, moves: bool) -> Self {
         Self { data, reply, moves }
     }
@@ -62,8 +62,7 @@ impl RawCommand {
 
     /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
     ///
-    /// # Errors
-    /// As [`Kind::channel_to`]: where the table has its command byte, that says whom it reaches.
+    /// As [`Kind::channel_to`]: if the table has its command byte, the table says which motors it reaches.
     pub fn packet_to(&self, target: Target) -> Result<Packet, RequestError> {
         Ok(Packet { channel: self.kind().channel_to(target)?, data: self.data })
     }

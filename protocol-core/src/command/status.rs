@@ -7,8 +7,8 @@
 //! | slow blinking | has an error of [level two](ErrorLevel::Two) |
 //! | fast blinking | has an error of [level one](ErrorLevel::One) |
 //!
-//! Hardware over-current, of level one, is in the table of errors and their levels (8.2) and has no bit
-//! among the [`ErrorFlags`] of 0x9A (2.14.3): only the light shows it.
+//! Hardware over-current, of level one, is in the table of errors and their levels (8.2) but has no bit among the
+//! [`ErrorFlags`] of 0x9A (2.14.3): only the light shows it.
 
 use core::fmt;
 
@@ -58,8 +58,8 @@ code! {
 pub enum ErrorLevel {
     /// The motor cannot recover: find the cause, then restart it. The light blinks fast.
     One,
-    /// The motor runs again by itself once the conditions for that are met. The light blinks slowly,
-    /// then is steadily on again.
+    /// The motor runs again on its own once the conditions for that are met. The light blinks slowly, then is steadily
+    /// on again.
     Two,
 }
 
@@ -144,15 +144,15 @@ error_flags! {
 }
 
 impl ErrorFlags {
-    /// Each error by itself, lowest bit first, unnamed bits included.
+    /// Each error on its own, lowest bit first, unnamed bits included.
     pub fn each(self) -> impl Iterator<Item = Self> + Clone {
         (0..16)
             .map(|bit| Self::from_bits_retain(1 << bit))
             .filter(move |&error| self.contains(error))
     }
 
-    /// Whether anything is wrong that only a restart ends. Errors whose level the manual does not
-    /// give count as such, so that nobody waits for a recovery that may not come.
+    /// Whether any error ends only with a restart. Errors whose level the manual does not give count as such, so that
+    /// nobody waits for a recovery that may not come.
     pub fn needs_restart(self) -> bool {
         self.each().any(|error| error.level() != Some(ErrorLevel::Two))
     }
@@ -201,8 +201,8 @@ command! {
 }
 
 reply! {
-    /// How the motor does right now: what 0x9C reads and most control commands answer with (2.15.3,
-    /// 2.19.3, 2.20.3, 2.21.3, 2.23.3, 2.24.3).
+    /// The present state of the motor: what 0x9C reads and most control commands answer with (2.15.3, 2.19.3, 2.20.3,
+    /// 2.21.3, 2.23.3, 2.24.3).
     Feedback {
         /// Motor temperature.
         temperature: Temperature => 1,

@@ -27,8 +27,8 @@ code! {
 }
 
 impl Mode {
-    /// Whether any loop runs, so that the motor can hold its shaft: drives were seen to report 0, which the manual does
-    /// not name, while none does.
+    /// Whether any loop runs, so that the motor can hold its shaft. While none runs, drives were seen to report 0,
+    /// which the manual does not name.
     pub const fn runs(self) -> bool {
         self.raw() != 0
     }
@@ -62,10 +62,11 @@ reply! {
 }
 
 impl RunTime {
-    /// Whether a drive that says this, and said `before` earlier, has started again in between: it has run for less.
-    /// Not where the time only counts on from 0, as it does after 49.7 days, unless the two are an hour apart.
+    /// Whether a drive that reports this, and reported `before` earlier, has started again in between: it has run for
+    /// less time. `false` if the time has only wrapped to 0, as it does after 49.7 days, unless the two are an hour
+    /// apart.
     ///
-    /// One that has run for longer may have started again as well, long ago.
+    /// A drive that has run for longer may also have started again, long ago.
     pub const fn shows_restart_since(self, before: Self) -> bool {
         const AN_HOUR_MS: u32 = 3_600_000;
         let (now, before) = (self.run_time.raw(), before.run_time.raw());
@@ -132,9 +133,8 @@ impl VersionDate {
 }
 
 impl Firmware {
-    /// The version dates (0xB2) that are known to be it, of which simulated drives report the first:
-    /// 2025-05-12, the day of protocol V4.3 (manual 9); 2026-04-24, build 02, of a V4.4 that was met on a
-    /// real motor.
+    /// The version dates (0xB2) that are known to belong to it; simulated drives report the first. They are 2025-05-12,
+    /// the day of protocol V4.3 (manual 9), and 2026-04-24, build 02, of a V4.4 that was met on a real motor.
     pub const fn version_dates(self) -> &'static [VersionDate] {
         match self {
             Self::V4_3 => &[VersionDate(20_250_512)],
@@ -142,9 +142,8 @@ impl Firmware {
         }
     }
 
-    /// The firmware of a drive that reports this version date, where it is
-    /// [known](Self::version_dates). No report ties any other date to a protocol; so for all others
-    /// there is none, and nothing is guessed.
+    /// The firmware of a drive that reports this version date, if it is [known](Self::version_dates). No report ties
+    /// any other date to a protocol, so for all others this is `None`, and nothing is guessed.
     pub fn of_version_date(date: VersionDate) -> Option<Self> {
         Self::ALL.iter().copied().find(|firmware| firmware.version_dates().contains(&date))
     }
@@ -219,7 +218,7 @@ impl ModelName {
     }
 }
 
-/// The characters, with a point for whatever is not printable.
+/// The characters, with a point for each that is not printable.
 #[cfg(feature = "defmt")]
 impl defmt::Format for ModelName {
     fn format(&self, f: defmt::Formatter<'_>) {
