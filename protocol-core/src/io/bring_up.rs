@@ -219,8 +219,8 @@ pub enum Protection {
 /// # Errors
 /// [`CallError`], among them:
 ///
-/// - [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus carries nothing. A CAN
-///   bus does not when nobody is there to acknowledge.
+/// - [`Failure::BusDown`], of any of the candidates, if the bus carries nothing. A CAN bus does not when nobody is
+///   there to acknowledge.
 /// - [`TooManyMotors`](crate::error::RequestError::TooManyMotors) if the master has no free place at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,

@@ -114,9 +114,8 @@ pub enum WhenStalled {
     /// The move has failed, and the motor is [stopped](MoveLimits::stop).
     #[default]
     Stop,
-    /// The motor goes on pressing with the torque that the move allows, as a gripper does
-    /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well. Its [`angle`](MoveProgress::angle)
-    /// is where the motor has met something.
+    /// The motor goes on pressing with the torque that the move allows, as a gripper does ([`ForcePosition`]), and the
+    /// move ends well. Its [`angle`](MoveProgress::angle) is where the motor has met something.
     ///
     /// How hard it meets that depends on its speed, which the torque does not limit: let it come slowly. To hold on,
     /// send the same command again; another move would find that the motor comes no nearer.
