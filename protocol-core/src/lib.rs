@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`quantity`] | what a value may be, and the error for what it may not |
 //! | [`time`], [`units`] | time as an argument; quantities with their unit |
-//! | [`id`], [`packet`] | who is meant; who speaks to whom, free of any wire |
+//! | [`id`], [`packet`] | which motor is meant; sender and receiver, free of any wire |
 //! | [`firmware`] | which revision of the protocol |
 //! | [`opcode`] | **the** table: one row a kind of frame |
 //! | [`error`] | what can be wrong with bytes and requests |

@@ -141,7 +141,7 @@ mod tests {
             "answers torque (0xA1) and does not run it: its brake is locked; open it (0x77), or send a speed or \
              a position, which opens it"
         );
-        // 8.2: a stall ends with a restart only, an over-speed by itself.
+        // 8.2: a stall ends only with a restart, an over-speed on its own.
         assert!(
             not_run(NotRunReason::Fault(ErrorFlags::STALL))
                 .ends_with("(motor stalled); restart it (0x76) when its cause is gone")
@@ -150,7 +150,7 @@ mod tests {
             not_run(NotRunReason::Fault(ErrorFlags::OVER_SPEED))
                 .ends_with("it goes with its cause")
         );
-        // 8.2 gives these two no level; `decisions` has the heat go by itself.
+        // 8.2 gives these two no level; by `decisions` heat goes on its own.
         for (error, remedy) in [
             (ErrorFlags::COMPONENT_OVER_TEMPERATURE, "it goes with its cause"),
             (ErrorFlags::ENCODER_DATA, "restart it (0x76) when its cause is gone"),

@@ -185,7 +185,7 @@ impl TryFrom<Duration> for Milliseconds {
 }
 
 quantity! {
-    /// How often a drive reports by itself, 10 ms a step (2.34.2).
+    /// How often a drive reports unasked, 10 ms a step (2.34.2).
     ReportInterval(u16 put_u16 get_u16) "report interval" Millisecond, step 10/1
     ; floats from_millis saturating_from_millis millis
 }
