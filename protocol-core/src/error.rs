@@ -61,8 +61,8 @@ pub enum RequestError {
     /// The command exists on CAN only.
     #[error("{0} exists on CAN only")]
     CanOnly(Opcode),
-    /// A request to that motor, its stop, or a broadcast, is still under way: wait for its outcome. A stop is for as
-    /// long as the bus takes nothing.
+    /// A request to that motor, its stop, or a broadcast, is still under way: wait for its outcome. A stop stays under way
+    /// for as long as the bus takes nothing.
     #[error(
         "an earlier request, or a stop that the bus does not take, is under way: wait for its outcome"
     )]

@@ -294,14 +294,14 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
-    /// The caller no longer waits for the outcome of this request. If a stop would refuse the command, as it would a
-    /// move, it must not be sent, or sent again, at any later time:
+    /// The caller no longer waits for the outcome of this request. If a stop would refuse the command (a move, a restart, a
+    /// write to ROM), it must not be sent, or sent again, at any later time:
     ///
     /// - If it waits, it fails with [`Failure::Dropped`].
     /// - If it is on the wire, or in a controller's mailbox, it is not called back. It is carried out, its answer still
     ///   comes, and only a [stop](Self::stop) ends what it does. If it is lost or handed back, it is not sent again.
     ///
-    /// Other commands go on, such as reads, writes and those that end motion. A request that is over is left alone.
+    /// Other commands go on: reads, writes to RAM, a stop, a shutdown. A request that is over is left alone.
     /// When an `ask` of the [loops](crate::io) is dropped, it withdraws its request.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
