@@ -8,8 +8,10 @@ use crate::text::slcan::AdapterCommand;
 /// A port that takes nothing for so long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 
-/// Behind whatever an adapter has of a line it makes that too long to be any command.
-const JUNK: [u8; 64] = [b'?'; 64];
+/// Behind whatever an adapter has of a line it makes that too long to be any command. Some firmware looks at how a line
+/// begins and not where it ends, and forgets its beginning only where it has no place left: of those that know CAN FD,
+/// behind up to 165 characters.
+const JUNK: [u8; 192] = [b'?'; 192];
 
 /// The rest of a line that the port has not taken yet.
 ///
@@ -107,7 +109,7 @@ mod tests {
 
     /// What makes of any part of a line one that is too long.
     fn junk() -> Vec<u8> {
-        [&[b'?'; 64][..], b"\r"].concat()
+        [&[b'?'; 192][..], b"\r"].concat()
     }
 
     #[test]
@@ -127,7 +129,7 @@ mod tests {
         let mut outbox = with_torque();
         let failed = outbox.send_on(START, |_| Err(PortError::Stalled("made up".into())));
         assert!(failed.is_err());
-        assert_eq!(sent(&mut outbox, 0, 100), (true, junk()));
+        assert_eq!(sent(&mut outbox, 0, 1_000), (true, junk()));
         assert!(outbox.is_empty());
     }
 
@@ -138,14 +140,14 @@ mod tests {
             let mut outbox = with_torque();
             assert!(sent(&mut outbox, 0, takes).0);
             assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
-            assert_eq!(sent(&mut outbox, 60_000, 100), (true, junk()));
+            assert_eq!(sent(&mut outbox, 60_000, 1_000), (true, junk()));
             assert!(outbox.is_empty());
         }
         // None of it: the adapter may have some of a line before it, of which the port is emptied.
         let mut outbox = with_torque();
         assert!(sent(&mut outbox, 0, 0).0);
         assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
-        assert_eq!(sent(&mut outbox, 60_000, 100), (true, junk()));
+        assert_eq!(sent(&mut outbox, 60_000, 1_000), (true, junk()));
         assert!(outbox.is_empty());
         // A port that takes nothing all the while.
         let mut outbox = with_torque();

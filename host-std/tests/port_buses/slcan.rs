@@ -355,12 +355,13 @@ fn heard_on(line: File) -> Vec<String> {
 
 const TORQUE_LINE: &str = "t1418A100000000000000";
 const STOP_LINE: &str = "t14188100000000000000";
+const LONGEST_KEPT: usize = 165;
 
-/// How many torque commands these are. Each line is whole, or too long for any adapter to make something of it: some
-/// firmware looks at no more than its length.
+/// How many torque commands these are. Each line is whole, or so long that an adapter has no place for how it began: some
+/// firmware makes a frame of whatever begins as one, and has place for the 165 characters of a CAN FD frame.
 fn torques_among(lines: &[String]) -> usize {
     let known = ["", "C", "S8", "O", TORQUE_LINE, STOP_LINE];
-    let is_sound = |line: &&String| known.contains(&line.as_str()) || line.len() > 31;
+    let is_sound = |line: &&String| known.contains(&line.as_str()) || line.len() > LONGEST_KEPT;
     let odd: Vec<_> = lines.iter().filter(|line| !is_sound(line)).collect();
     assert!(odd.is_empty(), "{odd:?}");
     lines.iter().filter(|line| *line == TORQUE_LINE).count()
