@@ -320,6 +320,28 @@ mod tests {
         can.transmit(&torque).unwrap();
     }
 
+    /// The same where it is received first, and the interface is up again before anything is sent. A socket is told so
+    /// whose other end turns away from what it has not read.
+    #[test]
+    fn after_an_error_of_receiving_nothing_that_moves_is_sent_until_a_frame_comes() {
+        let folder = tempfile::tempdir().unwrap();
+        let [port, end, away] = ["port", "end", "away"].map(|name| folder.path().join(name));
+        let [socket, other, _away] = [&port, &end, &away].map(|it| UnixDatagram::bind(it).unwrap());
+        socket.connect(&end).unwrap();
+        other.connect(&port).unwrap();
+        let mut can = can_on(socket);
+        let [torque, stop] = frames([0xA1, 0x81]);
+        can.transmit(&stop).unwrap();
+        other.connect(&away).unwrap();
+        other.connect(&port).unwrap();
+        assert!(matches!(can.receive(), Err(nb::Error::Other(_))));
+        assert!(matches!(can.transmit(&torque), Err(nb::Error::Other(_))), "stale");
+        can.transmit(&stop).unwrap();
+        other.send(&from_kernel(0x241)).unwrap();
+        can.receive().unwrap();
+        can.transmit(&torque).unwrap();
+    }
+
     #[test]
     fn a_clock_wakes_up_when_a_socket_that_took_nothing_has_room() {
         let (mut can, other) = made();

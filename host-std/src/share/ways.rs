@@ -540,6 +540,40 @@ mod tests {
         assert!(bus.move_to(id(1), to(5.0, 90.0), &MoveLimits::default(), go_on).is_ok());
     }
 
+    /// A bus that loses the first 0x76.
+    struct Forgetful(CanPort, bool);
+
+    impl nb::Can for Forgetful {
+        type Frame = SimpleFrame;
+        type Error = CanError;
+
+        fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, CanError> {
+            if frame.data()[0] == 0x76 && !std::mem::replace(&mut self.1, true) {
+                return Ok(None);
+            }
+            self.0.transmit(frame)
+        }
+
+        fn receive(&mut self) -> ::nb::Result<SimpleFrame, CanError> {
+            self.0.receive()
+        }
+    }
+
+    #[test]
+    fn a_drive_that_has_not_heard_of_its_restart_is_told_again() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+        let (port, clock) = (Forgetful(fleet.world.port(), false), fleet.world.clock());
+        let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
+        let bus = SharedBus::new(master, StopKind::Hold);
+        assert!(!bus.ask(id(1), ReadStatus1).unwrap().errors.is_empty());
+        let told = bus.restart(id(1));
+        assert!(told.is_ok(), "{told:?}");
+        assert!(bus.ask(id(1), ReadStatus1).unwrap().errors.is_empty());
+        assert!(bus.set_point(id(1), to(5.0, 10.0)).is_err(), "until it is resumed");
+    }
+
     #[test]
     fn what_a_motor_holds_its_brake_holds_while_it_restarts() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
