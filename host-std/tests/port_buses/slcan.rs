@@ -279,6 +279,29 @@ fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
     device.join().unwrap();
 }
 
+/// Nobody looks what it answers, so that it counts as one that may have restarted all the while.
+#[test]
+fn an_adapter_that_refuses_is_opened_ten_times_a_second_at_the_most() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter { refuses_torque: true, ..Adapter::default() });
+    let begun = Instant::now();
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    let clock = can.clock().unwrap();
+    can.transmit(&frame(TORQUE)).unwrap();
+    until(&mut can, &clock, |can| {
+        let _ = can.receive();
+        can.transmit(&frame(TORQUE)).is_err().then_some(())
+    });
+    for _ in 0..50 {
+        can.transmit(&frame(READ_ANGLE)).unwrap();
+    }
+    let tenths = begun.elapsed().as_millis() / 100;
+    drop((can, clock));
+    let heard = device.join().unwrap();
+    let opened = heard.iter().filter(|command| **command == AdapterCommand::Open).count();
+    assert!(opened as u128 <= 1 + tenths, "{opened} in {tenths}");
+}
+
 #[test]
 fn what_an_adapter_does_not_take_is_thrown_away() {
     let (_line, path) = pty::open();
