@@ -24,7 +24,9 @@ const READS_A_CALL: usize = 64;
 /// Error reports of the controller are not handed on as frames. One that says that the bus carries
 /// nothing (bus off, no acknowledgement, error-passive while sending, transmit time-out), and an error of the interface
 /// (down, gone), makes [`transmit`](Can::transmit) refuse, with an error, all that could move a motor, until a frame
-/// comes or the controller recovers; reads and stops still go.
+/// comes or the controller recovers; reads and stops still go. Of a master that is given set-points all the while no
+/// read goes either, for it takes each refusal for a bus that is down: behind the error stop the motors, whose answers
+/// are frames.
 ///
 /// # What the kernel may send late
 /// Frames that were handed over before such a report, some two milliseconds after the bus went, wait

@@ -35,11 +35,12 @@ const READS_A_CALL: usize = 16;
 /// port meanwhile.
 ///
 /// BEL from the adapter counts as a bus that carries nothing: from then until a frame comes,
-/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor. Meanwhile it opens the adapter once
-/// more, ten times a second, with what it sends: one that has restarted by itself takes no stop before. A port that takes
-/// nothing for 20 ms is emptied, for what it holds is stale. What its driver does not give back, and
-/// what the adapter itself holds, may be sent when the bus is back, and many adapters report nothing
-/// at all: protect the drives on their own side, by communication-loss protection (0xB3).
+/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor; stop the motors then, as with
+/// [`SocketCan`](crate::port::SocketCan). Meanwhile it opens the adapter once more, ten times a second, with what it
+/// sends: one that has restarted by itself takes no stop before. A port that takes nothing for 20 ms is emptied, for what
+/// it holds is stale. What its driver does not give back, and what the adapter itself holds, the beginning of a line
+/// included, may be sent when the bus is back, and many adapters report nothing at all: protect the drives on their own
+/// side, by communication-loss protection (0xB3).
 ///
 /// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
 /// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
