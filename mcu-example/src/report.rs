@@ -91,7 +91,8 @@ pub enum Trouble {
         /// The date of its software.
         version_date: VersionDate,
     },
-    /// A motor reports errors, so that it holds nothing: its brake is told to lock.
+    /// A motor reports errors, so that it holds nothing: its brake is told to lock. Told once from one press of the
+    /// button to the next, also while the motors are stopped.
     Errors {
         /// The motor.
         motor: MotorId,

@@ -65,6 +65,8 @@ pub struct App<const N: usize> {
     /// since the start.
     expected: MotorSet,
     locks: Locks,
+    /// Those whose errors were told since the button was pressed.
+    failed: MotorSet,
     rounds: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors.
@@ -85,6 +87,7 @@ impl<const N: usize> App<N> {
             motors: Vec::new(),
             expected: setup.required,
             locks: Locks::new(),
+            failed: MotorSet::EMPTY,
             rounds: Rounds::new(at.now),
             button: Button::new(),
             // Who restarts by itself was running, perhaps, and stops.
@@ -168,10 +171,12 @@ impl<const N: usize> App<N> {
                     at.master.forget(motor.id);
                 }
                 self.motors.clear();
+                self.failed = MotorSet::EMPTY;
                 let all = self.known();
                 self.enter(State::Finding(Script::find(all, at.now)), at);
             }
             (State::Stopped { .. }, Press::Long) => {
+                self.failed = MotorSet::EMPTY;
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
@@ -390,29 +395,38 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// Tells what is wrong and stops all motors, unless they are stopped already.
+    /// Tells what is wrong and stops all motors. Where they are stopped already, only errors are told.
     fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
         if let Trouble::Errors { motor, .. } = trouble {
-            // Also then: it confirms a stop and holds nothing, and its brake may have been told to open.
+            // Told before or not: it confirms a stop and holds nothing, and its brake may have been told to open.
             self.locks.want(motor);
-        }
-        match self.state {
-            State::Stopping { .. } | State::Stopped { .. } => return,
-            // Nothing else keeps those that turn from being held again.
-            State::Looking { .. }
-                if !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. }) =>
-            {
+            if self.failed.contains(motor) {
                 return;
             }
-            _ => {}
+            self.failed.insert(motor);
+        }
+        let is_error = matches!(trouble, Trouble::Errors { .. });
+        let goes_on = match self.state {
+            State::Stopping { .. } | State::Stopped { .. } => true,
+            // Nothing else keeps those that turn from being held again.
+            State::Looking { .. } => {
+                !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. })
+            }
+            // It has cut its output, and its brake is told to lock: the others are shut down all the same.
+            State::ShuttingDown { .. } => is_error,
+            _ => false,
+        };
+        if goes_on && !is_error {
+            return;
         }
         at.board.log(&Report::Trouble(trouble));
+        if goes_on {
+            return;
+        }
         if trouble != Trouble::Button {
             self.may_start_at = at.now + STOPPED_BY_ITSELF;
         }
         match (&mut self.state, trouble) {
-            // It has cut its output, and its brake is told to lock: the others are shut down all the same.
-            (State::ShuttingDown { .. }, Trouble::Errors { .. }) => {}
             // It holds again once all were looked at.
             (
                 State::ShuttingDown { turning, .. } | State::Looking { turning, .. },

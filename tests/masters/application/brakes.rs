@@ -21,7 +21,7 @@ on_both_buses! {
     after_a_motor_restarted_its_brake_does_not_open_before_it_holds
     no_load_falls_where_an_error_comes_while_brakes_open
     no_brake_is_told_to_open_whose_motor_has_an_error
-    whoever_has_an_error_locks_its_brake_also_when_all_are_stopped
+    whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped
     no_load_falls_in_a_shutdown
     who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding
     what_would_fall_in_a_shutdown_is_held_again
@@ -130,7 +130,7 @@ fn stays_locked<B: Moved>(firmware: &mut Firmware<'_, B>, drive: &DriveHandle) {
     }
 }
 
-fn whoever_has_an_error_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
+fn whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let mut firmware = Firmware::running(&bus);
     firmware.press(millis(50));
@@ -149,7 +149,15 @@ fn whoever_has_an_error_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
     firmware.run_for(millis(100));
     let brakes = bus.drives.iter().map(|drive| state(drive).brake);
     assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
-    assert_eq!(firmware.troubles(), [Trouble::Button]);
+    let trouble = |motor| Trouble::Errors { motor: id(motor), flags: ErrorFlags::STALL };
+    assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2)]);
+    // One that does not say so by itself is asked. Each is told once, until the button is pressed.
+    bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    firmware.run_for(millis(1_500));
+    assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1)]);
+    firmware.press(millis(50));
+    firmware.run_for(millis(500));
+    assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1), trouble(1)]);
 }
 
 /// A firmware whose motors have run and hold, about to be shut down; and where their shafts are.

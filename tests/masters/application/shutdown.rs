@@ -17,6 +17,7 @@ on_both_buses! {
     a_load_that_begins_to_fall_slowly_is_held_again
     an_error_behind_a_brake_that_is_opened_again_locks_it_at_once
     what_slips_in_a_shutdown_that_is_broken_off_is_held_again
+    an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
     a_product_that_stops_by_switching_off_holds_nothing
 }
 
@@ -99,15 +100,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
                         firmware.press(millis(30));
                     }
                 }
-                Why::BusError => {
-                    let Firmware { runner, app, panel, .. } = &mut firmware;
-                    let now = runner.now();
-                    app.handle_bus_error(&mut Moment {
-                        now,
-                        master: runner.master(),
-                        board: panel,
-                    });
-                }
+                Why::BusError => break_off(&mut firmware),
                 Why::Silent => unplug(&bus, &bus.drives[2]),
             }
             firmware.run_for(millis(1_000));
@@ -125,6 +118,33 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             has_none_fallen(&bus, &held_deg, 0.5);
         }
     }
+}
+
+fn break_off<B: Moved>(firmware: &mut Firmware<'_, B>) {
+    let Firmware { runner, app, panel, .. } = firmware;
+    let now = runner.now();
+    app.handle_bus_error(&mut Moment { now, master: runner.master(), board: panel });
+}
+
+fn an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    break_off(&mut firmware);
+    firmware.run_until(Report::State(StateName::Looking), millis(100));
+    let flags = ErrorFlags::STALL;
+    bus.drives[2].with(|drive| drive.raise_fault(flags));
+    firmware.run_for(millis(1_000));
+    let [error, turns] = [Trouble::Errors { motor: id(3), flags }, Trouble::Turns { motor: id(2) }];
+    assert_eq!(firmware.troubles(), [Trouble::BusDown, error, turns]);
+    assert!(!is_off(&bus.drives[1]));
+    assert_eq!(state(&bus.drives[2]).brake, BrakeCommand::LOCK);
+    let fallen = fallen_deg(&bus, &before_deg);
+    // It fell until its brake had locked.
+    assert!(fallen[1] < 30.0 && fallen[2] < 3.0, "{fallen:?}");
+    firmware.stays_stopped();
 }
 
 /// At the start, where an earlier firmware may have left them holding, and where anything is wrong.

@@ -131,14 +131,18 @@ fn a_motor_that_restarted_before_it_was_looked_for_runs<B: Moved>() {
 }
 
 fn no_brake_opens_while_a_motor_has_an_error<B: Moved>() {
-    for id in 1..=4 {
+    let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
+    for motor in (1..=4).map(id) {
         let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
         let mut firmware = Firmware::start(&bus, Panel::default());
         firmware.run_for(millis(1_500));
-        bus.drives[id - 1].with(|drive| drive.raise_fault(ErrorFlags::MOTOR_OVER_TEMPERATURE));
+        bus.drives[usize::from(motor.get()) - 1].with(|drive| drive.raise_fault(flags));
+        // Told while it is stopped, and again since it keeps the motors from starting.
+        firmware.run_until(Report::Trouble(Trouble::Errors { motor, flags }), millis(1_000));
+        firmware.run_for(millis(1_000));
         firmware.press(millis(50));
         firmware.run_for(millis(500));
-        assert_eq!(firmware.troubles().len(), 1);
+        assert_eq!(firmware.troubles(), [Trouble::Errors { motor, flags }; 2]);
         let told = &firmware.panel.reports;
         assert!(!told.contains(&Report::State(StateName::Preparing)), "{told:?}");
     }
