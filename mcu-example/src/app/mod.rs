@@ -21,7 +21,7 @@ use self::motor::Motor;
 use self::rounds::Rounds;
 use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
-use self::state::{State, Then};
+use self::state::State;
 use crate::board::{Board, RestartCause, Usage};
 use crate::report::{Report, Trouble};
 
@@ -67,6 +67,10 @@ pub struct App<const N: usize> {
     locks: Locks,
     /// Those whose errors were told since the button was pressed.
     failed: MotorSet,
+    /// Those whose brakes were told to lock by a shutdown that was broken off, and that nobody has looked at since.
+    unseen: MotorSet,
+    /// From when on it shows whether their shafts stand.
+    shows_at: Instant,
     rounds: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors.
@@ -88,6 +92,8 @@ impl<const N: usize> App<N> {
             expected: setup.required,
             locks: Locks::new(),
             failed: MotorSet::EMPTY,
+            unseen: MotorSet::EMPTY,
+            shows_at: at.now,
             rounds: Rounds::new(at.now),
             button: Button::new(),
             // Who restarts by itself was running, perhaps, and stops.
@@ -177,6 +183,7 @@ impl<const N: usize> App<N> {
             }
             (State::Stopped { .. }, Press::Long) => {
                 self.failed = MotorSet::EMPTY;
+                self.unseen = MotorSet::EMPTY;
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
@@ -193,27 +200,24 @@ impl<const N: usize> App<N> {
         // Before anything else is asked.
         self.locks.ask(&self.setup, at.master);
         match &mut self.state {
-            State::Stopping { kind, waiting, unconfirmed, until, then } => {
-                if waiting.is_empty() || at.now >= *until {
-                    let unconfirmed = both(*waiting, *unconfirmed);
-                    let kind = *kind;
-                    match *then {
-                        Then::Looking => {
-                            let confirmed = self.expected.without(unconfirmed);
-                            let script = Script::look(confirmed, *until);
-                            let turning = MotorSet::EMPTY;
-                            self.enter(State::Looking { script, turning, unconfirmed }, at);
-                        }
-                        Then::Stopped => self.tell_stopped(kind, unconfirmed, at),
-                    }
+            State::Stopping { kind, waiting, unconfirmed, until } => {
+                let (kind, unconfirmed) = (*kind, waiting.with(*unconfirmed));
+                let is_over = waiting.is_empty() || at.now >= *until;
+                // Who has not confirmed it by then is not waited for: a load may fall.
+                let is_looking =
+                    (is_over || at.now >= self.shows_at) && self.look(kind, unconfirmed, at);
+                if is_over && !is_looking {
+                    self.tell_stopped(kind, unconfirmed, at);
                 }
             }
             State::Stopped { kind, unconfirmed, again } => {
+                let (kind, unconfirmed) = (*kind, *unconfirmed);
                 if !unconfirmed.is_empty() && at.now >= *again {
                     *again = at.now + STOP_AGAIN;
                     // Those that the master has no place for stay unconfirmed.
-                    let _ = at.master.stop_all(*kind, *unconfirmed);
+                    let _ = at.master.stop_all(kind, unconfirmed);
                 }
+                self.look(kind, unconfirmed, at);
             }
             State::Finding(script)
             | State::Preparing(script)
@@ -232,6 +236,24 @@ impl<const N: usize> App<N> {
         // In every state, and also to those whose firmware nobody has asked for yet: a motor that hears
         // nothing lets go.
         self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
+    }
+
+    /// Looks at the shafts of those that have confirmed their stop, and that nobody has looked at since a shutdown was
+    /// broken off, however late that is: until then a load may fall. Whether there are any.
+    fn look(
+        &mut self,
+        kind: StopKind,
+        unconfirmed: MotorSet,
+        at: &mut Moment<'_, N, impl Board>,
+    ) -> bool {
+        let motors = self.unseen.without(unconfirmed);
+        if motors.is_empty() {
+            return false;
+        }
+        self.unseen = self.unseen.without(motors);
+        let (script, turning) = (Script::look(motors, self.shows_at), MotorSet::EMPTY);
+        self.enter(State::Looking { script, turning, kind, unconfirmed }, at);
+        true
     }
 
     fn tell_stopped(
@@ -271,10 +293,13 @@ impl<const N: usize> App<N> {
                         }
                     }
                     None if is_any_turning => self.stop(StopKind::Hold, at),
-                    None if matches!(self.state, State::Looking { .. }) => {
-                        self.stop(self.setup.stop, at);
+                    None => {
+                        let kind = match self.state {
+                            State::Looking { kind, .. } => kind,
+                            _ => StopKind::Off,
+                        };
+                        self.stop(kind, at);
                     }
-                    None => self.stop(StopKind::Off, at),
                 }
             }
             State::Preparing(script) => {
@@ -284,6 +309,8 @@ impl<const N: usize> App<N> {
                         for motor in &mut self.motors {
                             motor.begin(at.master.health(motor.id), at.now);
                         }
+                        // All hold, their brakes open.
+                        self.unseen = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);
@@ -339,8 +366,15 @@ impl<const N: usize> App<N> {
         let answer = self.rounds.take(event).or_else(|| match &mut self.state {
             State::Finding(script)
             | State::Preparing(script)
-            | State::ShuttingDown { script, .. }
-            | State::Looking { script, .. } => script.take(event),
+            | State::ShuttingDown { script, .. } => script.take(event),
+            State::Looking { script, .. } => {
+                let answer = script.take(event);
+                if let Some((motor, Answer::None)) = answer {
+                    // It is looked at once it confirms the next stop.
+                    self.unseen.insert(motor);
+                }
+                answer
+            }
             _ => None,
         });
         let Some((motor, answer)) = answer else { return };
@@ -434,31 +468,22 @@ impl<const N: usize> App<N> {
             ) => turning.insert(motor),
             // With a brake that is not locked, off is no stop; behind one that slips, nor is that.
             (State::ShuttingDown { script, .. }, _) => {
-                // Who has not confirmed the stop by then is not waited for: a load may fall.
-                let until = script.shows_at(at.now);
-                self.stop_until(until, self.setup.stop, Then::Looking, at);
+                self.shows_at = script.shows_at(at.now);
+                self.unseen = self.expected;
+                self.stop(self.setup.stop, at);
             }
             _ => self.stop(self.setup.stop, at),
         }
     }
 
     fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
-        self.stop_until(at.now + LONGEST_STOP, kind, Then::Stopped, at);
-    }
-
-    fn stop_until(
-        &mut self,
-        until: Instant,
-        kind: StopKind,
-        then: Then,
-        at: &mut Moment<'_, N, impl Board>,
-    ) {
         let all = self.known();
         // Those that the master has no place for stay unconfirmed.
         let _ = at.master.stop_all(kind, all);
         let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
-        self.enter(State::Stopping { kind, waiting, unconfirmed, until, then }, at);
+        let until = at.now + LONGEST_STOP;
+        self.enter(State::Stopping { kind, waiting, unconfirmed, until }, at);
     }
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
@@ -472,7 +497,11 @@ impl<const N: usize> App<N> {
                     unconfirmed.insert(stopped);
                 }
             }
-            State::Stopped { unconfirmed, .. } if is_confirmed => unconfirmed.remove(stopped),
+            State::Stopped { unconfirmed, .. } | State::Looking { unconfirmed, .. }
+                if is_confirmed =>
+            {
+                unconfirmed.remove(stopped);
+            }
             _ => {}
         }
     }
@@ -508,7 +537,7 @@ impl<const N: usize> App<N> {
 
     /// All that may be there: the expected ones, and before any was found whoever is looked for.
     fn known(&self) -> MotorSet {
-        if self.motors.is_empty() { both(self.expected, self.setup.search) } else { self.expected }
+        if self.motors.is_empty() { self.expected.with(self.setup.search) } else { self.expected }
     }
 
     /// Those that the rounds go to: all that are expected, less those that are being stopped.
@@ -536,10 +565,6 @@ impl<const N: usize> App<N> {
             _ => blink(100),
         }
     }
-}
-
-fn both(some: MotorSet, others: MotorSet) -> MotorSet {
-    some.iter().chain(others.iter()).collect()
 }
 
 const fn half(span: Duration) -> Duration {

@@ -14,7 +14,6 @@ pub(super) enum State {
         waiting: MotorSet,
         unconfirmed: MotorSet,
         until: Instant,
-        then: Then,
     },
     Stopped {
         kind: StopKind,
@@ -37,16 +36,9 @@ pub(super) enum State {
     Looking {
         script: Script,
         turning: MotorSet,
+        kind: StopKind,
         unconfirmed: MotorSet,
     },
-}
-
-/// What comes when the motors were stopped.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Then {
-    Stopped,
-    /// Their shafts are looked at, not before the stop was waited for: brakes have had the time to lock then.
-    Looking,
 }
 
 impl State {

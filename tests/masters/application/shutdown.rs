@@ -5,7 +5,7 @@ use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_mcu_example::{Moment, Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
@@ -18,6 +18,8 @@ on_both_buses! {
     an_error_behind_a_brake_that_is_opened_again_locks_it_at_once
     what_slips_in_a_shutdown_that_is_broken_off_is_held_again
     an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
+    who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again
+    what_is_held_again_is_held_on_when_another_confirms_late
     a_product_that_stops_by_switching_off_holds_nothing
 }
 
@@ -145,6 +147,62 @@ fn an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
     // It fell until its brake had locked.
     assert!(fallen[1] < 30.0 && fallen[2] < 3.0, "{fallen:?}");
     firmware.stays_stopped();
+}
+
+/// It was told to lock its brake, and is back in each of the states behind that; or is gone only when it is looked at.
+fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
+    for cut_while_looking in [false, true] {
+        for back_after_ms in [100, 205, 215, 300, 600, 700, 2_000] {
+            let bus = loaded::<B>(3, true);
+            let (mut firmware, before_deg) = before_shutdown(&bus);
+            shut_down(&mut firmware);
+            firmware.run_for(millis(25));
+            if !cut_while_looking {
+                unplug(&bus, &bus.drives[1]);
+            }
+            break_off(&mut firmware);
+            if cut_while_looking {
+                firmware.run_until(Report::State(StateName::Looking), millis(100));
+                unplug(&bus, &bus.drives[1]);
+            }
+            firmware.run_for(millis(back_after_ms));
+            bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+            bus.world.mend(bus.drives[1].station());
+            firmware.run_for(millis(1_000));
+            let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+            let case = format!("{cut_while_looking} {back_after_ms} ms: {fallen:?}, {told:?}");
+            assert_eq!(told, [Trouble::BusDown, Trouble::Turns { motor: id(2) }], "{case}");
+            assert!(!is_off(&bus.drives[1]), "{case}");
+            assert!(fallen[1] < 30.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
+            let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
+            let end = [stopped, Report::State(StateName::Stopped)];
+            assert!(firmware.panel.reports.ends_with(&end), "{:?}", firmware.panel.reports);
+            let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+            firmware.stays_stopped();
+            has_none_fallen(&bus, &held_deg, 0.5);
+        }
+    }
+}
+
+/// Also where it stops by switching off.
+fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let setup = Setup { stop: StopKind::Off, ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_for(millis(1_500));
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    unplug(&bus, &bus.drives[2]);
+    break_off(&mut firmware);
+    firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_500));
+    assert!(!is_off(&bus.drives[1]));
+    let held_deg = angle_deg(&bus.drives[1]);
+    bus.world.mend(bus.drives[2].station());
+    firmware.run_until(Report::Stopped { unconfirmed: MotorSet::EMPTY }, millis(1_500));
+    firmware.stays_stopped();
+    assert!(!is_off(&bus.drives[1]));
+    assert!((angle_deg(&bus.drives[1]) - held_deg).abs() < 0.5);
 }
 
 /// At the start, where an earlier firmware may have left them holding, and where anything is wrong.
