@@ -14,10 +14,14 @@
 //!     │    │ button held            │ trouble, button              │ trouble, button
 //!     │    ▼                        ▼                              │
 //!     │  ShuttingDown ──────────▶ Stopping ◀───────────────────────┘
-//!     │                           │  ▲  ▲
-//!     └───────────────────────────┘  │  └── every start, whatever its cause
-//!        all confirmed, or too late  └── Looking, once, where a shutdown was broken off
+//!     │                           │  │ ▲ ▲
+//!     └───────────────────────────┘  │ │ └── every start, whatever its cause
+//!        all confirmed, or too late  ▼ │
+//!                                  Looking
 //! ```
+//!
+//! `Looking` follows only where a shutdown was broken off, at each motor once it has confirmed its stop: where that is
+//! late, also from `Stopped`.
 //!
 //! Nothing moves until the button was pressed, whatever happened before.
 #![no_std]

@@ -213,7 +213,7 @@ fn who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding<B: Moved>() {
 /// Two brakes of three slip, or nobody has one.
 fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
     // Behind a brake nobody looks before it has had the time to lock; who has none is switched off.
-    for (brakes, falling, most_deg, off) in [(true, 1..3, 40.0, 1), (false, 0..3, 15.0, 3)] {
+    for (brakes, falling, most_deg, off) in [(true, 1..3, 18.0, 1), (false, 0..3, 6.0, 3)] {
         let bus = loaded::<B>(3, brakes);
         let (mut firmware, before_deg) = before_shutdown(&bus);
         let log = bus.world.log();
@@ -259,5 +259,5 @@ fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     assert!(told.contains(&Trouble::Turns { motor: id(1) }), "{told:?}");
     // The other is held all the same.
     assert!(!is_off(&bus.drives[1]));
-    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 40.0);
+    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 14.0);
 }
