@@ -139,11 +139,11 @@ const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
 /// came in between.
 const RELEASE: &[Question] =
     &[Question::Errors, Question::ReleaseBrake, Question::Hold, Question::Errors];
-const LOOK: &[Question] = &[Question::RunTime, Question::Home];
+const BEGIN: &[Question] = &[Question::RunTime, Question::Home];
 
 const LOCK: &[Question] = &[Question::LockBrake];
 const SWITCH_OFF: &[Question] = &[Question::Stands, Question::Off];
-const LOOK_AGAIN: &[Question] = &[Question::Stands];
+const LOOK: &[Question] = &[Question::Stands];
 
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -190,7 +190,7 @@ impl Script {
         match self.questions {
             PROTECT if setup.error_reports => Some(Self::new(REPORT_ERRORS, motors, now)),
             PROTECT | REPORT_ERRORS => Some(Self::new(RELEASE, motors, now)),
-            RELEASE => Some(Self::new(LOOK, motors, now + BRAKE_MOVES)),
+            RELEASE => Some(Self::new(BEGIN, motors, now + BRAKE_MOVES)),
             _ => None,
         }
     }
@@ -212,7 +212,7 @@ impl Script {
             LOCK => Some(Self::new(SWITCH_OFF, motors, now + BRAKE_MOVES)),
             RELEASE => None,
             _ if !turning.is_empty() => Some(Self::new(RELEASE, turning, now)),
-            SWITCH_OFF => Some(Self::new(LOOK_AGAIN, motors, now + FALLS)),
+            SWITCH_OFF => Some(Self::new(LOOK, motors, now + FALLS)),
             _ => None,
         }
     }
@@ -227,7 +227,7 @@ impl Script {
 
     /// Do the shafts of these motors stand? It goes on as a shutdown does.
     pub(super) const fn look(motors: MotorSet, not_before: Instant) -> Self {
-        Self::new(LOOK_AGAIN, motors, not_before)
+        Self::new(LOOK, motors, not_before)
     }
 
     const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {
