@@ -1,13 +1,16 @@
 //! What happens in each cycle.
 
+mod answers;
 mod button;
 mod locks;
 mod motor;
 mod path;
 mod rounds;
+mod running;
 mod script;
 mod setup;
 mod state;
+mod stopping;
 
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
@@ -19,29 +22,13 @@ use self::button::{Button, Press};
 use self::locks::Locks;
 use self::motor::Motor;
 use self::rounds::Rounds;
-use self::script::{Answer, Script, Step};
+use self::running::{SECOND, SEEN_WITHIN};
+use self::script::{Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::state::State;
-use crate::board::{Board, RestartCause, Usage};
+use self::stopping::STOPPED_BY_ITSELF;
+use crate::board::{Board, RestartCause};
 use crate::report::{Report, Trouble};
-
-/// How long a stop is waited for before whoever has not confirmed it is reported, and all are told to stop once
-/// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
-/// nothing else that the others could hear.
-const LONGEST_STOP: Duration = Duration::from_millis(400);
-/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Shorter
-/// than a protection, too.
-const STOP_AGAIN: Duration = Duration::from_millis(400);
-/// A running motor that was not heard for so long has gone.
-const SILENT_AFTER: Duration = Duration::from_millis(100);
-/// While a line waits for the answer of a motor that has gone, nobody else is asked. If none at all was heard for
-/// longer than that by this much, it is the bus that has gone.
-const ROUND: Duration = Duration::from_millis(10);
-/// The watchdog is fed only as long as each running motor was heard within this time.
-const SEEN_WITHIN: Duration = Duration::from_millis(50);
-const SECOND: Duration = Duration::from_secs(1);
-/// Whoever presses the button so soon after the motors were stopped by something else meant to stop them.
-const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
 
 /// What the application works with at one moment.
 #[derive(Debug)]
@@ -200,75 +187,21 @@ impl<const N: usize> App<N> {
         // Before anything else is asked.
         self.locks.ask(&self.setup, at.master);
         match &mut self.state {
-            State::Stopping { kind, waiting, unconfirmed, until } => {
-                let (kind, unconfirmed) = (*kind, waiting.with(*unconfirmed));
-                let is_over = waiting.is_empty() || at.now >= *until;
-                // Who has not confirmed it by then is not waited for: a load may fall.
-                let is_looking =
-                    (is_over || at.now >= self.shows_at) && self.look(kind, unconfirmed, at);
-                if is_over && !is_looking {
-                    self.tell_stopped(kind, unconfirmed, at);
-                }
-            }
-            State::Stopped { kind, unconfirmed, again } => {
-                let (kind, unconfirmed) = (*kind, *unconfirmed);
-                if !unconfirmed.is_empty() && at.now >= *again {
-                    *again = at.now + STOP_AGAIN;
-                    // Those that the master has no place for stay unconfirmed.
-                    let _ = at.master.stop_all(kind, unconfirmed);
-                }
-                self.look(kind, unconfirmed, at);
-            }
-            State::Finding(script)
-            | State::Preparing(script)
-            | State::ShuttingDown { script, .. }
-            | State::Looking { script, .. } => match script.go_on(&self.setup, at.master, at.now) {
-                Step::Waiting => {}
-                Step::Refused(motor) => self.trouble(Trouble::Refused { motor }, at),
-                Step::Over => self.script_is_over(at),
-            },
+            State::Stopping { .. } | State::Stopped { .. } => self.go_on_stopping(at),
             State::Running { cycles, overruns, .. } => {
                 *cycles = cycles.saturating_add(1);
                 *overruns = overruns.saturating_add(is_late.into());
                 self.control(at);
             }
+            state => match state.script().map(|it| it.go_on(&self.setup, at.master, at.now)) {
+                Some(Step::Refused(motor)) => self.trouble(Trouble::Refused { motor }, at),
+                Some(Step::Over) => self.script_is_over(at),
+                Some(Step::Waiting) | None => {}
+            },
         }
         // In every state, and also to those whose firmware nobody has asked for yet: a motor that hears
         // nothing lets go.
         self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
-    }
-
-    /// Looks at the shafts of those that have confirmed their stop, and that nobody has looked at since a shutdown was
-    /// broken off, however late that is: until then a load may fall. Whether there are any.
-    fn look(
-        &mut self,
-        kind: StopKind,
-        unconfirmed: MotorSet,
-        at: &mut Moment<'_, N, impl Board>,
-    ) -> bool {
-        let motors = self.unseen.without(unconfirmed);
-        if motors.is_empty() {
-            return false;
-        }
-        self.unseen = self.unseen.without(motors);
-        let (script, turning) = (Script::look(motors, self.shows_at), MotorSet::EMPTY);
-        self.enter(State::Looking { script, turning, kind, unconfirmed }, at);
-        true
-    }
-
-    fn tell_stopped(
-        &mut self,
-        kind: StopKind,
-        unconfirmed: MotorSet,
-        at: &mut Moment<'_, N, impl Board>,
-    ) {
-        let unheard = unconfirmed.without(self.expected);
-        if !unheard.is_empty() {
-            at.board.log(&Report::Unheard { motors: unheard });
-        }
-        at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
-        // The unheard get their stop again, too: one whose replies are lost may hear it.
-        self.enter(State::Stopped { kind, unconfirmed, again: at.now }, at);
     }
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
@@ -321,214 +254,9 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// One cycle of motion.
-    fn control(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        if let (Some(motor), silence) = self.longest_silence(at.now)
-            && silence > SILENT_AFTER
-        {
-            return self.trouble(self.silent(motor, at), at);
-        }
-        let State::Running { since, next_second, .. } = &self.state else { return };
-        let (since, is_second) = (*since, at.now >= *next_second);
-        for motor in &self.motors {
-            if !motor.put_set_point(&self.setup, at.now - since, at.master, at.now) {
-                let motor = motor.id;
-                // The event that says so may be yet to come.
-                let trouble = match at.master.has_restarted(motor) {
-                    true => Trouble::Restarted { motor },
-                    false => Trouble::Refused { motor },
-                };
-                return self.trouble(trouble, at);
-            }
-        }
-        if is_second {
-            self.report_second(at);
-        }
-    }
-
-    fn report_second(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
-        *next_second += SECOND;
-        let (cycles, overruns) = (*cycles, *overruns);
-        let lost = self.motors.iter().map(|motor| motor.lost(at.master.health(motor.id))).sum();
-        let slowest = self.motors.iter_mut().map(Motor::take_answered).min().unwrap_or(0);
-        let Usage { stack, queued, dropped } = at.board.usage();
-        let second = Report::Second { cycles, overruns, slowest, lost, stack, queued, dropped };
-        at.board.log(&second);
-        for motor in &self.motors {
-            at.board.log(&Report::Measured { motor: motor.id, angle: motor.angle });
-        }
-    }
-
-    /// The outcome of a request: that of the rounds or the script's.
-    fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
-        self.locks.note(event);
-        let answer = self.rounds.take(event).or_else(|| match &mut self.state {
-            State::Finding(script)
-            | State::Preparing(script)
-            | State::ShuttingDown { script, .. } => script.take(event),
-            State::Looking { script, .. } => {
-                let answer = script.take(event);
-                if let Some((motor, Answer::None)) = answer {
-                    // It is looked at once it confirms the next stop.
-                    self.unseen.insert(motor);
-                }
-                answer
-            }
-            _ => None,
-        });
-        let Some((motor, answer)) = answer else { return };
-        if let Some(trouble) = self.note(motor, answer, at) {
-            self.trouble(trouble, at);
-        }
-    }
-
-    /// Takes note of an answer; gives what is wrong with it.
-    fn note(
-        &mut self,
-        motor: MotorId,
-        answer: Answer,
-        at: &mut Moment<'_, N, impl Board>,
-    ) -> Option<Trouble> {
-        match answer {
-            Answer::None if !self.expected.contains(motor) => {
-                // Nobody has this id.
-                at.master.forget(motor);
-                None
-            }
-            Answer::None => Some(self.silent(motor, at)),
-            Answer::Done => None,
-            Answer::Version(version_date) => {
-                self.expected.insert(motor);
-                let is_known = self.setup.accepts(version_date);
-                match self.motors.push(Motor::new(motor, version_date)) {
-                    _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
-                    Err(_) => Some(Trouble::Refused { motor }),
-                    Ok(()) => None,
-                }
-            }
-            Answer::Model(model) => {
-                let version_date = self.motor(motor)?.version_date;
-                at.board.log(&Report::Found { motor, model, version_date });
-                None
-            }
-            Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
-            Answer::Turns => Some(Trouble::Turns { motor }),
-            Answer::Angle(angle) => {
-                self.motor(motor)?.angle = angle;
-                None
-            }
-            Answer::Home(angle) => {
-                let setup = self.setup;
-                if !self.motor(motor)?.can_begin_at(angle, &setup) {
-                    return Some(Trouble::OutOfRange { motor });
-                }
-                at.board.log(&Report::Ready { motor, angle });
-                None
-            }
-        }
-    }
-
-    /// Tells what is wrong and stops all motors. Where they are stopped already, only errors are told.
-    fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
-        if let Trouble::Errors { motor, .. } = trouble {
-            // Told before or not: it confirms a stop and holds nothing, and its brake may have been told to open.
-            self.locks.want(motor);
-            if self.failed.contains(motor) {
-                return;
-            }
-            self.failed.insert(motor);
-        }
-        let is_error = matches!(trouble, Trouble::Errors { .. });
-        let goes_on = match self.state {
-            State::Stopping { .. } | State::Stopped { .. } => true,
-            // Nothing else keeps those that turn from being held again.
-            State::Looking { .. } => {
-                !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. })
-            }
-            // It has cut its output, and its brake is told to lock: the others are shut down all the same.
-            State::ShuttingDown { .. } => is_error,
-            _ => false,
-        };
-        if goes_on && !is_error {
-            return;
-        }
-        at.board.log(&Report::Trouble(trouble));
-        if goes_on {
-            return;
-        }
-        if trouble != Trouble::Button {
-            self.may_start_at = at.now + STOPPED_BY_ITSELF;
-        }
-        match (&mut self.state, trouble) {
-            // It holds again once all were looked at.
-            (
-                State::ShuttingDown { turning, .. } | State::Looking { turning, .. },
-                Trouble::Turns { motor },
-            ) => turning.insert(motor),
-            // With a brake that is not locked, off is no stop; behind one that slips, nor is that.
-            (State::ShuttingDown { script, .. }, _) => {
-                self.shows_at = script.shows_at(at.now);
-                self.unseen = self.expected;
-                self.stop(self.setup.stop, at);
-            }
-            _ => self.stop(self.setup.stop, at),
-        }
-    }
-
-    fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
-        let all = self.known();
-        // Those that the master has no place for stay unconfirmed.
-        let _ = at.master.stop_all(kind, all);
-        let waiting: MotorSet = at.master.motors();
-        let unconfirmed = all.without(waiting);
-        let until = at.now + LONGEST_STOP;
-        self.enter(State::Stopping { kind, waiting, unconfirmed, until }, at);
-    }
-
-    fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
-        if is_confirmed {
-            self.expected.insert(stopped);
-        }
-        match &mut self.state {
-            State::Stopping { waiting, unconfirmed, .. } => {
-                waiting.remove(stopped);
-                if !is_confirmed {
-                    unconfirmed.insert(stopped);
-                }
-            }
-            State::Stopped { unconfirmed, .. } | State::Looking { unconfirmed, .. }
-                if is_confirmed =>
-            {
-                unconfirmed.remove(stopped);
-            }
-            _ => {}
-        }
-    }
-
     fn enter(&mut self, state: State, at: &mut Moment<'_, N, impl Board>) {
         self.state = state;
         at.board.log(&Report::State(self.state.name()));
-    }
-
-    fn is_running(&self) -> bool {
-        matches!(self.state, State::Running { .. })
-    }
-
-    /// The motor that was not heard for longest, and for how long.
-    fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
-        let silences = self.motors.iter().map(|motor| (Some(motor.id), motor.silence(now)));
-        silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
-    }
-
-    /// What it means that this motor is not heard. With it alone nobody can tell a bus from a motor that
-    /// is gone: whoever looks begins at the motor.
-    fn silent(&self, motor: MotorId, at: &Moment<'_, N, impl Board>) -> Trouble {
-        let longest_wait = at.master.config().reply_timeout + ROUND;
-        let is_bus = self.is_running()
-            && self.motors.len() > 1
-            && self.motors.iter().all(|motor| motor.silence(at.now) > longest_wait);
-        if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
 
     fn motor(&mut self, id: MotorId) -> Option<&mut Motor> {

@@ -129,21 +129,38 @@ impl Question {
     }
 }
 
-const FIND: &[Question] =
-    &[Question::VersionDate, Question::Model, Question::Errors, Question::RunTime];
-const PROTECT: &[Question] = &[Question::Protection];
-const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
-/// A shaft whose brake is open falls unless its motor holds it, which one does not after a shutdown or a
-/// restart of its own. It is told so at once, before the brake has opened: behind a locked one a stop may
-/// do nothing. One with an error obeys the first and not the second: it is asked before, and again for what
-/// came in between.
-const RELEASE: &[Question] =
-    &[Question::Errors, Question::ReleaseBrake, Question::Hold, Question::Errors];
-const BEGIN: &[Question] = &[Question::RunTime, Question::Home];
+/// Which questions a script puts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Find,
+    Protect,
+    ReportErrors,
+    /// A shaft whose brake is open falls unless its motor holds it, which one does not after a shutdown or a
+    /// restart of its own. It is told so at once, before the brake has opened: behind a locked one a stop may
+    /// do nothing. One with an error obeys the first and not the second: it is asked before, and again for what
+    /// came in between.
+    Release,
+    Begin,
+    Lock,
+    SwitchOff,
+    Look,
+}
 
-const LOCK: &[Question] = &[Question::LockBrake];
-const SWITCH_OFF: &[Question] = &[Question::Stands, Question::Off];
-const LOOK: &[Question] = &[Question::Stands];
+impl Part {
+    const fn questions(self) -> &'static [Question] {
+        use Question as Q;
+        match self {
+            Self::Find => &[Q::VersionDate, Q::Model, Q::Errors, Q::RunTime],
+            Self::Protect => &[Q::Protection],
+            Self::ReportErrors => &[Q::ErrorReports],
+            Self::Release => &[Q::Errors, Q::ReleaseBrake, Q::Hold, Q::Errors],
+            Self::Begin => &[Q::RunTime, Q::Home],
+            Self::Lock => &[Q::LockBrake],
+            Self::SwitchOff => &[Q::Stands, Q::Off],
+            Self::Look => &[Q::Stands],
+        }
+    }
+}
 
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,7 +174,7 @@ pub(super) enum Step {
 /// The same questions to one motor after the other.
 #[derive(Debug)]
 pub(super) struct Script {
-    questions: &'static [Question],
+    part: Part,
     /// The next one to be asked.
     next: usize,
     /// Motors that have not answered all questions, the one that is being asked among them.
@@ -170,13 +187,13 @@ pub(super) struct Script {
 impl Script {
     /// Who is there, with what, and how is it?
     pub(super) const fn find(motors: MotorSet, now: Instant) -> Self {
-        Self::new(FIND, motors, now)
+        Self::new(Part::Find, motors, now)
     }
 
     /// What has to be done before a motor may run; [`next`](Self::next_of_preparing) says how it goes on.
     /// One thing for all before the next for any, so that all brakes open at one time.
     pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
-        Self::new(PROTECT, motors, now)
+        Self::new(Part::Protect, motors, now)
     }
 
     /// What comes next in preparing these motors. Where they are is asked last, once their brakes are
@@ -187,17 +204,19 @@ impl Script {
         motors: MotorSet,
         now: Instant,
     ) -> Option<Self> {
-        match self.questions {
-            PROTECT if setup.error_reports => Some(Self::new(REPORT_ERRORS, motors, now)),
-            PROTECT | REPORT_ERRORS => Some(Self::new(RELEASE, motors, now)),
-            RELEASE => Some(Self::new(BEGIN, motors, now + BRAKE_MOVES)),
+        match self.part {
+            Part::Protect if setup.error_reports => {
+                Some(Self::new(Part::ReportErrors, motors, now))
+            }
+            Part::Protect | Part::ReportErrors => Some(Self::new(Part::Release, motors, now)),
+            Part::Release => Some(Self::new(Part::Begin, motors, now + BRAKE_MOVES)),
             _ => None,
         }
     }
 
     /// Lock the brakes, before the outputs are switched off: without power the shafts are free.
     pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
-        Self::new(LOCK, motors, now)
+        Self::new(Part::Lock, motors, now)
     }
 
     /// What comes next in shutting down these motors: until the brakes hold, the outputs may have to. Those that
@@ -208,30 +227,30 @@ impl Script {
         turning: MotorSet,
         now: Instant,
     ) -> Option<Self> {
-        match self.questions {
-            LOCK => Some(Self::new(SWITCH_OFF, motors, now + BRAKE_MOVES)),
-            RELEASE => None,
-            _ if !turning.is_empty() => Some(Self::new(RELEASE, turning, now)),
-            SWITCH_OFF => Some(Self::new(LOOK, motors, now + FALLS)),
+        match self.part {
+            Part::Lock => Some(Self::new(Part::SwitchOff, motors, now + BRAKE_MOVES)),
+            Part::Release => None,
+            _ if !turning.is_empty() => Some(Self::new(Part::Release, turning, now)),
+            Part::SwitchOff => Some(Self::new(Part::Look, motors, now + FALLS)),
             _ => None,
         }
     }
 
     /// When the shafts can be looked at if this shutdown is broken off now: whatever holds them then has begun to.
     pub(super) fn shows_at(&self, now: Instant) -> Instant {
-        match self.questions {
-            LOCK => now + BRAKE_MOVES,
+        match self.part {
+            Part::Lock => now + BRAKE_MOVES,
             _ => self.not_before.max(now + FALLS),
         }
     }
 
     /// Do the shafts of these motors stand? It goes on as a shutdown does.
     pub(super) const fn look(motors: MotorSet, not_before: Instant) -> Self {
-        Self::new(LOOK, motors, not_before)
+        Self::new(Part::Look, motors, not_before)
     }
 
-    const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {
-        Self { questions, next: 0, left: motors, asked: None, not_before }
+    const fn new(part: Part, motors: MotorSet, not_before: Instant) -> Self {
+        Self { part, next: 0, left: motors, asked: None, not_before }
     }
 
     /// Asks the next question if nobody is being asked.
@@ -245,7 +264,7 @@ impl Script {
             return Step::Waiting;
         }
         let Some(motor) = self.left.iter().next() else { return Step::Over };
-        let Some(question) = self.questions.get(self.next) else { return Step::Over };
+        let Some(question) = self.part.questions().get(self.next) else { return Step::Over };
         match question.ask(motor, setup, master) {
             Ok(ticket) => {
                 self.asked = Some(ticket);
@@ -259,11 +278,11 @@ impl Script {
     /// The answer, if the event brings it. A motor with which anything is wrong is not asked further.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let asked = self.asked?;
-        let answer = self.questions.get(self.next)?.answer(asked, event)?;
+        let answer = self.part.questions().get(self.next)?.answer(asked, event)?;
         self.asked = None;
         self.next += 1;
         let is_amiss = matches!(answer, Answer::None | Answer::Errors(_) | Answer::Turns);
-        if is_amiss || self.next == self.questions.len() {
+        if is_amiss || self.next == self.part.questions().len() {
             self.left.remove(asked.motor());
             self.next = 0;
         }

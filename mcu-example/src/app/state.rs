@@ -53,4 +53,15 @@ impl State {
             Self::Looking { .. } => StateName::Looking,
         }
     }
+
+    /// The one that is under way.
+    pub(super) fn script(&mut self) -> Option<&mut Script> {
+        match self {
+            Self::Finding(script)
+            | Self::Preparing(script)
+            | Self::ShuttingDown { script, .. }
+            | Self::Looking { script, .. } => Some(script),
+            Self::Stopping { .. } | Self::Stopped { .. } | Self::Running { .. } => None,
+        }
+    }
 }
