@@ -43,6 +43,10 @@ impl<const N: usize> App<N> {
             }
             Answer::None => Some(self.silent(motor, at)),
             Answer::Done => None,
+            Answer::Back => {
+                self.hold_again(motor, at.now);
+                None
+            }
             Answer::Version(version_date) => {
                 self.expected.insert(motor);
                 let is_known = self.setup.accepts(version_date);

@@ -122,12 +122,16 @@ impl<const N: usize> App<N> {
             Event::Restarted { motor } => {
                 // Those that are moved are stopped by this; others get no set-points before they were found.
                 at.master.resume(motor);
+                self.rounds.doubt(motor.into());
                 if self.motor(motor).is_some() {
                     self.trouble(Trouble::Restarted { motor }, at);
                 }
             }
-            Event::LostMaster { motor } if self.motor(motor).is_some() => {
-                self.trouble(Trouble::LostMaster { motor }, at);
+            Event::LostMaster { motor } => {
+                self.rounds.doubt(motor.into());
+                if self.motor(motor).is_some() {
+                    self.trouble(Trouble::LostMaster { motor }, at);
+                }
             }
             _ => self.handle_answer(event, at),
         }

@@ -1,7 +1,7 @@
 //! Goes round the motors: of each its errors, its run time and its angle, one question at a time.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::master::{Event, Master, MotorSet, TicketId};
+use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::Setup;
@@ -19,11 +19,23 @@ pub(super) struct Rounds {
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
+    /// Those that may have let go, and have not answered since.
+    doubted: MotorSet,
+    /// Those of them that have answered once.
+    answered: MotorSet,
 }
 
 impl Rounds {
     pub(super) const fn new(now: Instant) -> Self {
-        Self { turn: 0, asked: None, next: now }
+        let (doubted, answered) = (MotorSet::EMPTY, MotorSet::EMPTY);
+        Self { turn: 0, asked: None, next: now, doubted, answered }
+    }
+
+    /// These may have let go. Who has lost its master obeys the third command: once they have answered two they
+    /// [are back](Answer::Back).
+    pub(super) const fn doubt(&mut self, motors: MotorSet) {
+        self.doubted = self.doubted.with(motors);
+        self.answered = self.answered.without(motors);
     }
 
     /// Asks one of these motors the next question if it is time and nobody is being asked.
@@ -52,6 +64,22 @@ impl Rounds {
         let (ticket, question) = self.asked?;
         let answer = question.answer(ticket, event)?;
         self.asked = None;
-        Some((ticket.motor(), answer))
+        let motor = ticket.motor();
+        match answer {
+            // A stop took its place.
+            Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
+            Answer::None => self.doubt(motor.into()),
+            Answer::Errors(_) => {}
+            _ if self.doubted.contains(motor) => {
+                self.doubted.remove(motor);
+                self.answered.insert(motor);
+            }
+            _ if self.answered.contains(motor) => {
+                self.answered.remove(motor);
+                return Some((motor, Answer::Back));
+            }
+            _ => {}
+        }
+        Some((motor, answer))
     }
 }

@@ -57,6 +57,8 @@ pub(super) enum Answer {
     Home(Angle),
     /// Its shaft does not stand.
     Turns,
+    /// It answers again, and obeys.
+    Back,
 }
 
 impl Question {

@@ -2,7 +2,7 @@
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::script::Script;
 use super::state::State;
@@ -124,6 +124,15 @@ impl<const N: usize> App<N> {
         }
     }
 
+    /// Where all are stopped, who may have let go is stopped once more: whoever has lost its master, or has restarted,
+    /// holds nothing until then, and may have confirmed a stop all the same.
+    pub(super) fn hold_again(&mut self, motor: MotorId, now: Instant) {
+        if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
+            unconfirmed.insert(motor);
+            *again = now;
+        }
+    }
+
     /// Looks at the shafts of those that have confirmed their stop, and that nobody has looked at since a shutdown was
     /// broken off, however late that is: until then a load may fall. Whether there are any.
     fn look(
@@ -153,6 +162,7 @@ impl<const N: usize> App<N> {
             at.board.log(&Report::Unheard { motors: unheard });
         }
         at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
+        self.rounds.doubt(unconfirmed);
         // The unheard get their stop again, too: one whose replies are lost may hear it.
         self.enter(State::Stopped { kind, unconfirmed, again: at.now }, at);
     }
