@@ -13,7 +13,10 @@ pub(super) enum Press {
     /// The contact has just closed: soon enough for a stop, too soon for anything else.
     Down,
     /// It came up again, and stays open.
-    Short,
+    Short {
+        /// When it went down.
+        since: Instant,
+    },
     /// It is held.
     Long,
 }
@@ -60,8 +63,8 @@ impl Button {
             (Contact::Closed(pressed), false) => (Contact::Opening { since: now, pressed }, None),
             (Contact::Opening { pressed, .. }, true) => (Contact::Closed(pressed), None),
             (Contact::Opening { since, pressed }, false) if now - since >= SETTLED_AFTER => {
-                let is_press = pressed.is_some_and(|pressed| since - pressed >= SETTLED_AFTER);
-                (Contact::Open, is_press.then_some(Press::Short))
+                let pressed = pressed.filter(|&pressed| since - pressed >= SETTLED_AFTER);
+                (Contact::Open, pressed.map(|since| Press::Short { since }))
             }
             (contact, _) => (contact, None),
         };

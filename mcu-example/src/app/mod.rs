@@ -62,8 +62,6 @@ pub struct App<const N: usize> {
     button: Button,
     /// A press that begins before this does not start the motors.
     may_start_at: Instant,
-    /// Whether the press under way may.
-    may_start: bool,
     next_cycle: Instant,
 }
 
@@ -88,7 +86,6 @@ impl<const N: usize> App<N> {
                 RestartCause::Power => at.now,
                 _ => at.now + STOPPED_BY_ITSELF,
             },
-            may_start: false,
             next_cycle: at.now,
         };
         app.stop(setup.stop, at);
@@ -161,9 +158,9 @@ impl<const N: usize> App<N> {
 
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
-            (State::Stopped { .. }, Press::Down) => self.may_start = at.now >= self.may_start_at,
-            (State::Stopped { .. }, Press::Short) if !self.may_start => {}
-            (State::Stopped { .. }, Press::Short) => {
+            (State::Stopped { .. }, Press::Down) => {}
+            (State::Stopped { .. }, Press::Short { since }) if since < self.may_start_at => {}
+            (State::Stopped { .. }, Press::Short { .. }) => {
                 for motor in &self.motors {
                     at.master.forget(motor.id);
                 }

@@ -14,6 +14,7 @@ use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
+use super::shutdown::break_off;
 use super::{Firmware, Moved, Panel, angle_deg, unplug};
 
 on_both_buses! {
@@ -26,6 +27,7 @@ on_both_buses! {
     who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding
     what_would_fall_in_a_shutdown_is_held_again
     no_brake_of_a_motor_with_an_error_opens_in_a_shutdown
+    no_load_falls_where_getting_ready_is_broken_off
     who_lets_go_while_all_are_stopped_is_told_to_hold_again
 }
 
@@ -287,6 +289,27 @@ fn who_lets_go_while_all_are_stopped_is_told_to_hold_again<B: Moved>() {
             assert!(!is_off(drive), "restart: {is_restart}, gone for {gone_ms} ms");
             firmware.stays_stopped();
             assert_eq!(firmware.troubles(), []);
+        }
+    }
+}
+
+/// While brakes are told to open, while they open, and once they have.
+fn no_load_falls_where_getting_ready_is_broken_off<B: Moved>() {
+    for after_ms in (0..260).step_by(13) {
+        for is_pressed in [false, true] {
+            let bus = loaded::<B>(4, true);
+            let mut firmware = Firmware::start(&bus, Panel::default());
+            firmware.run_for(millis(1_500));
+            firmware.press(millis(50));
+            firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+            let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+            firmware.run_for(millis(after_ms));
+            match is_pressed {
+                true => firmware.press(millis(30)),
+                false => break_off(&mut firmware),
+            }
+            firmware.stays_stopped();
+            has_none_fallen(&bus, &before_deg, 3.0);
         }
     }
 }

@@ -11,7 +11,7 @@ use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
 use super::brakes::{before_shutdown, fallen_deg, has_none_fallen, is_off, loaded};
-use super::{Firmware, Moved, Panel, angle_deg, unplug};
+use super::{Firmware, Moved, Panel, angle_deg, told_by, unplug};
 
 on_both_buses! {
     a_load_that_begins_to_fall_slowly_is_held_again
@@ -20,6 +20,7 @@ on_both_buses! {
     an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
     who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again
     what_is_held_again_is_held_on_when_another_confirms_late
+    a_press_that_is_under_way_when_something_falls_starts_nothing
     a_product_that_stops_by_switching_off_holds_nothing
 }
 
@@ -122,7 +123,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
     }
 }
 
-fn break_off<B: Moved>(firmware: &mut Firmware<'_, B>) {
+pub(super) fn break_off<B: Moved>(firmware: &mut Firmware<'_, B>) {
     let Firmware { runner, app, panel, .. } = firmware;
     let now = runner.now();
     app.handle_bus_error(&mut Moment { now, master: runner.master(), board: panel });
@@ -182,6 +183,25 @@ fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved
             has_none_fallen(&bus, &held_deg, 0.5);
         }
     }
+}
+
+/// Whoever presses just then has seen it, perhaps: it is as good as a press right behind that.
+fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    unplug(&bus, &bus.drives[1]);
+    break_off(&mut firmware);
+    firmware.run_for(millis(2_000));
+    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    bus.world.mend(bus.drives[1].station());
+    firmware.panel.is_button_down = true;
+    firmware.run_until(Report::Trouble(Trouble::Turns { motor: id(2) }), millis(600));
+    firmware.run_until(Report::State(StateName::Stopped), millis(300));
+    firmware.panel.is_button_down = false;
+    firmware.stays_stopped();
+    assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Finding)), 0);
 }
 
 /// Also where it stops by switching off.
