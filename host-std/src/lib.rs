@@ -10,8 +10,8 @@
 //! | [`share`] | one bus for many threads: a thread runs it, the others have handles | `open` | both |
 //! | [`serve`] | simulated drives offered to other programs | `text`, `port`, `sim` | both |
 //!
-//! A layer uses those that it stands on and no other; `port` and `sim` know nothing of each other.
-//! Above them all is the program `myactuator`, the command line, which is no part of the library.
+//! A layer uses only the layers that it stands on; `port` and `sim` know nothing of each other.
+//! Above all of them is the program `myactuator`, the command line, which is not part of the library.
 //!
 //! # Features
 //!
@@ -23,9 +23,9 @@
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io and its async traits, nb |
 //! | `port` and `sim` | [`open`], [`share`], [`serve`] | |
 //! | `cli` (default) | the program `myactuator`, and all of the above | clap, indicatif, signal-hook |
-//! | `can-stack` | nothing: a test that takes its machine's CAN interfaces is built | |
+//! | `can-stack` | nothing: a test that uses its machine's CAN interfaces is built | |
 //!
-//! A library that needs simulated drives only depends on this with `default-features = false` and
+//! A library that only needs simulated drives depends on this crate with `default-features = false` and
 //! `features = ["sim"]`.
 
 mod bus_kind;
@@ -47,7 +47,7 @@ pub mod text;
 mod unexpected;
 
 pub use bus_kind::BusKind;
-/// The protocol itself, [`myactuator_protocol_core`]: who depends on this crate needs no dependency
+/// The protocol itself, [`myactuator_protocol_core`]. A package that depends on this crate needs no dependency
 /// on that, and cannot get another version of it.
 #[doc(no_inline)]
 pub use myactuator_protocol_core as protocol;

@@ -1,6 +1,6 @@
-//! What is wrong with text that a person typed.
+//! The error of text that a person typed.
 
-/// Text that is not what was expected: the error of everything here that is read from a few words.
+/// Text that is not what was expected. The error of everything in this crate that is parsed from a few words.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found \"{found}\"")]
 pub struct Unexpected {

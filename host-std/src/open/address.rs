@@ -14,12 +14,12 @@ use crate::{BusKind, Unexpected};
 const LONGEST_INTERFACE: usize = 15;
 /// As many motors as the protocol has ids for.
 const MOST_MOTORS: u8 = 32;
-/// How many motors are simulated if nobody says.
+/// How many motors are simulated by default.
 const USUAL_MOTORS: u8 = 4;
-/// The bit rates of the simulated buses, bit/s: those that drives are delivered with.
+/// The bit rates of the simulated buses, bit/s: those of new drives.
 const SIMULATED_CAN_RATE: u32 = 1_000_000;
 const SIMULATED_LINE_RATE: u32 = 115_200;
-/// Long enough for an adapter that hands over every 16 ms, and twice that.
+/// Long enough for twice the 16 ms after which an adapter hands over what it has received.
 const LONGEST_REPLY_TIMEOUT: Duration = Duration::from_millis(40);
 /// The slowest and the fastest serial line that an address may name, in bit/s.
 const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
@@ -28,15 +28,15 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 ///
 /// | string | bus |
 /// |---|---|
-/// | `sim`, `sim:2` | simulated CAN bus at 1 Mbit/s with four or so many motors, 1 to 32 |
+/// | `sim`, `sim:2` | simulated CAN bus at 1 Mbit/s with four motors, or as many as given, 1 to 32 |
 /// | `sim:2,rs485` | simulated RS485 line at 115200 bit/s |
 /// | `can0`, `can:can0` | SocketCAN interface |
 /// | `slcan:/dev/ttyACM0@1000000` | SLCAN adapter on a serial port, bit rate of the CAN bus in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
-/// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
+/// | `rs485:/dev/ttyUSB0@115200,echo` | RS485 adapter that hands back what it sends |
 ///
-/// Without `echo` it is found out: before the first commands whose echo may pass for the answer the motor's status is
-/// read, whose echo cannot.
+/// Without `echo` the master finds out whether there is one: before it sends the first commands whose echo could pass
+/// for the answer, it reads the motor's status, whose echo cannot.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -72,16 +72,16 @@ pub enum BusAddress {
         path: PathBuf,
         /// The bit rate of the line in bit/s, 1200 to 12000000.
         bit_rate: u32,
-        /// Whether the adapter is said to hand back what it sends.
+        /// Whether the address says that the adapter hands back what it sends.
         echo: bool,
     },
 }
 
 impl BusAddress {
-    /// The bit rate of an RS485 line as it stands in an address, in bit/s.
+    /// Reads the bit rate of an RS485 line as an address has it, in bit/s.
     ///
     /// # Errors
-    /// [`Unexpected`]: no rate that a serial line has.
+    /// [`Unexpected`]: not a rate that a serial line has.
     pub fn line_rate(text: &str) -> Result<u32, Unexpected> {
         let rate = decimal(text).filter(|rate| LINE_RATES.contains(rate));
         rate.ok_or_else(|| {
@@ -106,7 +106,7 @@ impl BusAddress {
     }
 
     /// The bit rate of the bus in bit/s; `None` for a CAN interface of Linux, whose rate is set
-    /// outside.
+    /// elsewhere.
     pub const fn bit_rate(&self) -> Option<u32> {
         match self {
             Self::Simulated { kind: BusKind::Can, .. } => Some(SIMULATED_CAN_RATE),
@@ -117,7 +117,7 @@ impl BusAddress {
         }
     }
 
-    /// The serial port behind it, if there is one.
+    /// The serial port of the adapter, if there is one.
     pub fn serial_port(&self) -> Option<&Path> {
         match self {
             Self::Slcan { path, .. } | Self::Rs485 { path, .. } => Some(path),
@@ -125,9 +125,9 @@ impl BusAddress {
         }
     }
 
-    /// The master's configuration for this bus. Time-outs are those of its bit rate and, on real buses, follow
-    /// the measured round trips up to 40 ms: adapters hold what they received back for up to 16 ms. A CAN
-    /// interface of Linux is taken to run at 1 Mbit/s.
+    /// The master's configuration for this bus. Time-outs are those of its bit rate. On real buses they follow the
+    /// measured round trips, up to 40 ms: adapters hold back what they have received for up to 16 ms. A CAN interface of
+    /// Linux is assumed to run at 1 Mbit/s.
     pub const fn config(&self) -> Config {
         match self {
             Self::Simulated { kind: BusKind::Can, .. } => Config::CAN,
@@ -204,7 +204,7 @@ fn simulated(motors: &str) -> Result<BusAddress, Unexpected> {
     Ok(BusAddress::Simulated { motors, kind })
 }
 
-/// As the kernel judges names.
+/// Accepts the names that the kernel accepts.
 fn socket_can(interface: &str) -> Result<BusAddress, Unexpected> {
     let forbidden = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
     let known = !interface.is_empty()
@@ -239,7 +239,7 @@ fn rs485(port: &str) -> Result<BusAddress, Unexpected> {
     Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
 }
 
-/// The last `@` divides, for paths may hold one.
+/// The last `@` divides, since a path may contain one.
 fn path_and_rate<'a>(
     kind: &str,
     example: &str,

@@ -1,4 +1,4 @@
-//! A master on whatever bus an address names.
+//! A master on the bus that an address names.
 
 use std::io;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::sim::bus::can::{CanBus, CanPort};
 use crate::sim::bus::rs485::{Rs485Line, SerialPort};
 use crate::sim::bus::{Medium, SimClock, World};
 
-/// A master of up to `N` motors, real or simulated: the same [`Runner`] whatever the bus.
+/// A master of up to `N` motors, real or simulated: the same [`Runner`] on every bus.
 #[derive(Debug)]
 pub enum AnyMaster<const N: usize> {
     /// On a simulated CAN bus, in virtual time: waiting takes no time.
@@ -34,13 +34,13 @@ impl<const N: usize> AnyMaster<N> {
     /// Opens this bus, or makes it if it is simulated, with the [configuration](BusAddress::config) that suits it.
     ///
     /// # Errors
-    /// [`BusError`] tells why it cannot be opened, and what to do.
+    /// [`BusError`] says why it cannot be opened, and what to do.
     pub fn open(address: &BusAddress) -> Result<Self, BusError> {
         Self::open_with(address, address.config())
     }
 
-    /// Opens this bus with a configuration of the caller's, made from
-    /// [its own](BusAddress::config).
+    /// Opens this bus with a configuration of your own, made from
+    /// [that of the address](BusAddress::config).
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -48,7 +48,7 @@ impl<const N: usize> AnyMaster<N> {
         Ok(Self::open_as(address, config, Use::Alone)?.0)
     }
 
-    /// How often bytes came that are no frame, on RS485: see [`SerialMaster::garbled`].
+    /// How often bytes arrived that are no frame, on RS485; see [`SerialMaster::garbled`]. 0 on CAN.
     #[must_use]
     pub const fn garbled(&self) -> u32 {
         match self {
@@ -58,8 +58,8 @@ impl<const N: usize> AnyMaster<N> {
         }
     }
 
-    /// Opens this bus for a thread of its own: with what ends its [`idle`](Runner::idle) from others, and a
-    /// simulated one in real time.
+    /// Opens this bus for a thread of its own, with a function that ends its [`idle`](Runner::idle) from other threads. A
+    /// simulated bus runs in real time.
     pub(crate) fn open_shared(address: &BusAddress) -> Result<(Self, Wake), BusError> {
         Self::open_as(address, address.config(), Use::Shared)
     }
@@ -70,8 +70,8 @@ impl<const N: usize> AnyMaster<N> {
         };
         Ok(match address {
             BusAddress::Simulated { motors, kind } => {
-                // Its handles keep the simulated world alive. Motors with brakes, so that what must
-                // release them first is not forgotten until it runs on a robot.
+                // Its handles keep the simulated world alive. The motors have brakes, so that code which forgets
+                // to release them fails here, and not first on a robot.
                 let fleet = Fleet::new(*motors).brakes(true);
                 let rate = address.bit_rate().unwrap_or_default();
                 match kind {
@@ -109,12 +109,12 @@ impl<const N: usize> AnyMaster<N> {
 /// Ends the idling of a bus's clock from any thread.
 pub(crate) type Wake = Arc<dyn Fn() + Send + Sync>;
 
-/// Who is going to run a bus.
+/// What is going to run a bus.
 #[derive(Clone, Copy)]
 enum Use {
     /// Its caller.
     Alone,
-    /// A thread of its own, which others wake.
+    /// A thread of its own, which other threads wake.
     Shared,
 }
 
@@ -140,7 +140,7 @@ impl Use {
     }
 }
 
-/// The same for each bus.
+/// Makes the same call on each bus.
 macro_rules! on_each {
     ($master:expr, $runner:ident => $call:expr) => {
         match $master {

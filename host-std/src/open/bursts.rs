@@ -1,4 +1,4 @@
-//! Adapters that hand over what they received now and then only, and how masters get on with them.
+//! Masters work with adapters that hand over what they have received in bursts.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1, SetCurrentPositionZero};
@@ -10,11 +10,11 @@ use super::BusAddress;
 use crate::sim::Fleet;
 use crate::sim::bus::rs485::TransceiverConfig;
 
-/// What the default of adapters with FTDI chips is.
+/// The default of adapters with FTDI chips.
 const BURSTS: Duration = Duration::from_millis(16);
 const MOTORS: u8 = 4;
 
-/// Asks every motor three things in turn; gives how many did not answer. The third is sent once only.
+/// Asks every motor three things in turn; returns how many did not answer. The third is sent only once.
 fn unanswered<R: Runner<{ MOTORS as usize }>>(master: &mut R) -> usize {
     let motors = MotorId::all().take(MOTORS.into());
     let rounds = motors.cycle().take(100);

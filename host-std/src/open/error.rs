@@ -17,16 +17,16 @@ pub enum BusError {
     /// The drives of a simulated bus cannot be made.
     #[error("the drives cannot be simulated: {0}")]
     Fleet(#[from] FleetError),
-    /// A simulated CAN bus that faults keep from working.
+    /// Faults keep a simulated CAN bus from working.
     #[error("the simulated CAN bus fails: {0}")]
     SimulatedCan(#[from] CanError),
-    /// A simulated RS485 line that faults keep from working.
+    /// Faults keep a simulated RS485 line from working.
     #[error("the simulated RS485 line fails: {0}")]
     SimulatedRs485(#[from] SerialError),
 }
 
 impl BusError {
-    /// Whether the bus itself carries nothing, as opposed to a computer that cannot reach it.
+    /// Whether the bus itself carries nothing, as opposed to a computer that cannot access it.
     pub const fn is_outage(&self) -> bool {
         matches!(self, Self::Port(error) if error.is_outage())
     }

@@ -1,6 +1,6 @@
-//! A master on whatever bus one string names: real or simulated, the same code from there on.
+//! A master on the bus that one string names, real or simulated; the code after that is the same.
 //!
-//! Stands above [`port`](crate::port) and [`sim`](crate::sim), which know nothing of each other.
+//! This module stands above [`port`](crate::port) and [`sim`](crate::sim), which know nothing of each other.
 //! [`AnyMaster::open`] opens what a [`BusAddress`] names: `sim:4`, `can0`,
 //! `slcan:/dev/ttyACM0@1000000`, `rs485:/dev/ttyUSB0@115200,echo`.
 //!
@@ -23,7 +23,7 @@ mod any_master;
 mod bursts;
 mod error;
 
-/// What `share` tells by for how long something has lain there.
+/// With this `share` measures how long something has waited.
 pub(crate) use crate::port::since_boot;
 pub use address::BusAddress;
 pub use any_master::AnyMaster;
