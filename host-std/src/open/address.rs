@@ -126,8 +126,8 @@ impl BusAddress {
     }
 
     /// The master's configuration for this bus. Time-outs are those of its bit rate. On real buses they follow the
-    /// measured round trips, up to 40 ms: adapters hold back what they have received for up to 16 ms. A CAN interface of
-    /// Linux is assumed to run at 1 Mbit/s.
+    /// measured round trips, up to 40 ms: adapters hold back what they have received for up to 16 ms. A CAN interface
+    /// of Linux is assumed to run at 1 Mbit/s.
     pub const fn config(&self) -> Config {
         match self {
             Self::Simulated { kind: BusKind::Can, .. } => Config::CAN,

@@ -58,8 +58,8 @@ impl<const N: usize> AnyMaster<N> {
         }
     }
 
-    /// Opens this bus for a thread of its own, with a function that ends its [`idle`](Runner::idle) from other threads. A
-    /// simulated bus runs in real time.
+    /// Opens this bus for a thread of its own, with a function that ends its [`idle`](Runner::idle) from other threads.
+    /// A simulated bus runs in real time.
     pub(crate) fn open_shared(address: &BusAddress) -> Result<(Self, Wake), BusError> {
         Self::open_as(address, address.config(), Use::Shared)
     }

@@ -40,28 +40,28 @@ impl Command for Untyped {
     }
 }
 
-// Whether it is one the master sees by its kind.
+// Whether it really is a set-point, the master sees by its kind.
 impl SetPoint for Untyped {}
 
 /// Where the answer to a call goes.
 pub(super) type Answer<T, E> = SyncSender<Result<T, SharedBusError<E>>>;
 
-/// Where a caller waits for it, if the call could be laid down.
+/// Where a caller waits for the answer, if the call could be laid down.
 pub(super) type Awaited<T, E> = Result<Waiting<T, E>, SharedBusError<E>>;
 
-/// Who waits for an answer.
+/// A caller that waits for an answer.
 #[derive(Debug)]
 pub(super) struct Waiting<T, E> {
     pub(super) answered: Receiver<Result<T, SharedBusError<E>>>,
-    /// Says that somebody still does.
+    /// Lives for as long as the caller waits.
     pub(super) asker: Arc<()>,
 }
 
-/// An answer, or that there is nobody who could give one.
+/// An answer, or the news that nothing can answer any more.
 pub(super) type Told<T, E> = Result<Result<T, SharedBusError<E>>, RecvTimeoutError>;
 
 impl<T, E> Waiting<T, E> {
-    /// The answer, if it comes within this.
+    /// The answer, if it comes within `longest`.
     pub(super) fn take(&self, longest: Duration) -> Option<Told<T, E>> {
         match self.answered.recv_timeout(longest) {
             Err(RecvTimeoutError::Timeout) => None,
@@ -70,12 +70,12 @@ impl<T, E> Waiting<T, E> {
     }
 }
 
-/// How often a question is put, and how long each answer is waited for.
+/// How often a question is put, and how long to wait for each answer.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Insistence {
     /// As the master does with such a command.
     Usual,
-    /// With the patience of now, so often at the most.
+    /// With the present patience, at most so often.
     Attempts(u8),
     Of(Patience),
 }
@@ -83,17 +83,17 @@ pub(super) enum Insistence {
 /// A question that is still to be put.
 #[derive(Debug)]
 pub(super) struct Question<E> {
-    /// Gone when nobody waits for the answer any more.
+    /// Gone when the caller no longer waits for the answer.
     pub(super) asker: Weak<()>,
     pub(super) motor: MotorId,
     pub(super) command: Untyped,
     pub(super) insistence: Insistence,
-    /// Until when it waits for its turn, on the clock of the bus, once it was there to be put.
+    /// Until when it waits for its turn, on the clock of the bus; set when it could first be put.
     pub(super) turn_ends: Option<time::Instant>,
     pub(super) answer: Answer<Data, E>,
 }
 
-/// What goes before all questions and set-points, in the order in which it was said.
+/// Goes before all questions and set-points; orders keep their order.
 #[derive(Debug)]
 pub(super) enum Order<E> {
     StopAll {
@@ -111,7 +111,7 @@ pub(super) enum Order<E> {
     Resume(MotorId),
     NoteRestart(MotorId),
     Forget(MotorId),
-    /// The answer, which comes no sooner than `until`, is what time it is then.
+    /// The answer comes no sooner than `until`, and is the time then.
     Wait {
         until: time::Instant,
         answer: Answer<time::Instant, E>,

@@ -1,7 +1,7 @@
-//! Where callers lay down what they want, and the thread of the bus takes it up.
+//! Callers lay down here what they want, and the thread of the bus takes it up.
 //!
-//! Everything is under one lock, so what counts is the order of the calls: a stop drops what is older
-//! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
+//! Everything is under one lock, so the order of the calls decides: a stop drops what is older
+//! at once, and refuses what comes after it, whether or not the thread has seen it yet.
 
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -18,8 +18,8 @@ use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::{Wake, since_boot};
 
-/// How often it is looked at meanwhile: a program that is frozen and goes on finds that time is up, and has looked
-/// once.
+/// So many looks share the longest round: a program that was frozen finds that the time of one look is up, and still
+/// has the others.
 const LOOKS: u32 = 20;
 
 pub(super) struct Desk<E> {
@@ -29,7 +29,7 @@ pub(super) struct Desk<E> {
     wake: Option<Wake>,
 }
 
-/// A motor that one call moves: however that ends, the motor is free for another.
+/// A motor that one call moves. However that call ends, the motor is then free for another.
 pub(super) struct Moving<'a, E> {
     desk: &'a Desk<E>,
     motor: MotorId,
@@ -55,7 +55,7 @@ impl<E> Desk<E> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Unlocks it and has the thread look at it.
+    /// Unlocks the state and has the thread look at it.
     fn leave(&self, mut state: MutexGuard<'_, State<E>>) {
         state.news_since.get_or_insert_with(Instant::now);
         let was_idle = std::mem::take(&mut state.is_idle);
@@ -68,7 +68,7 @@ impl<E> Desk<E> {
 
     // ---- the callers' side ----
 
-    /// Lays down a question of somebody who began to work with that motor then.
+    /// Lays down a question of a caller that began to work with that motor at `since`.
     pub(super) fn ask(
         &self,
         motor: MotorId,
@@ -79,7 +79,7 @@ impl<E> Desk<E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
         let stop = StopKind::by(command.kind);
-        // Who began before somebody let it go does not switch it on by holding it.
+        // A caller that began before the motor was let go does not switch it on by holding it.
         if stop.is_some_and(|kind| state.stop_kind(motor, kind, since) != kind) {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
@@ -122,14 +122,14 @@ impl<E> Desk<E> {
         Ok(())
     }
 
-    /// Stops all. The answer is who has not confirmed it.
+    /// Stops all motors. The answer is those that have not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
         let (answer, waiting) = call();
         self.order(Order::StopAll { kind, also, answer })?;
         Ok(waiting)
     }
 
-    /// Stops a motor for somebody who began to work with it then.
+    /// Stops a motor for a caller that began to work with it at `since`.
     pub(super) fn stop(
         &self,
         motor: MotorId,
@@ -144,17 +144,17 @@ impl<E> Desk<E> {
         Ok(waiting)
     }
 
-    /// What to begin to work with a motor by.
+    /// The past of a motor, as it is when a caller begins to work with it.
     pub(super) fn past(&self, motor: MotorId) -> Past {
         self.lock().past[motor.index()]
     }
 
-    /// Whether whoever began then may move a motor now.
+    /// Whether a caller that began at `since` may move a motor now.
     pub(super) fn may_move(&self, motor: MotorId, since: Past) -> Result<(), RequestError> {
         self.lock().may_move(motor, since)
     }
 
-    /// Takes a motor for a move, until this is dropped; `None` while another move has it.
+    /// Takes a motor for a move, until the result is dropped; `None` while another move has it.
     pub(super) fn begin_move(&self, motor: MotorId) -> Option<Moving<'_, E>> {
         let mut state = self.lock();
         let is_free = !state.moving.contains(motor);
@@ -162,7 +162,7 @@ impl<E> Desk<E> {
         is_free.then(|| Moving { desk: self, motor })
     }
 
-    /// Waits until then, on the clock of the bus. The answer is what time it is.
+    /// Waits until `until`, on the clock of the bus. The answer is the time then.
     pub(super) fn wait_until(&self, until: time::Instant) -> Awaited<time::Instant, E> {
         let (answer, waiting) = call();
         self.order(Order::Wait { until, answer })?;
@@ -176,14 +176,14 @@ impl<E> Desk<E> {
     pub(super) fn subscribe(&self, room: usize) -> Subscription {
         let (subscriber, subscription) = Subscriber::new(room);
         let mut state = self.lock();
-        // Of what has ended there is nothing to be told.
+        // A bus that has ended has nothing to report.
         if matches!(state.life, Life::Running) {
             state.subscribers.push(subscriber);
         }
         subscription
     }
 
-    /// Nobody has a handle any more.
+    /// The last handle was dropped.
     pub(super) fn close(&self) {
         let mut state = self.lock();
         if matches!(state.life, Life::Running) {
@@ -197,7 +197,7 @@ impl<E> Desk<E> {
         self.answer(awaited?).unwrap_or(Err(SharedBusError::Held))
     }
 
-    /// Waits for the end of a stop of these motors, all of which count as unconfirmed when nobody can tell.
+    /// Waits for the end of a stop of these motors. All of them count as unconfirmed if the thread does not answer.
     pub(super) fn wait_for_stop(
         &self,
         awaited: Awaited<MotorSet, E>,
@@ -206,7 +206,7 @@ impl<E> Desk<E> {
         self.answer(awaited?).unwrap_or(Ok(motors))
     }
 
-    /// The answer if it is there. Nobody waits for it any more.
+    /// The answer, if it is there already. After this the call no longer waits for it.
     pub(super) fn take_answer<T>(&self, awaited: Awaited<T, E>) -> Result<T, SharedBusError<E>> {
         self.last_answer(awaited?).unwrap_or(Err(SharedBusError::Held))
     }
@@ -220,7 +220,7 @@ impl<E> Desk<E> {
     }
 
     fn last_answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
-        // An error of the bus that comes now is told here, or to the next: nobody is told while this is locked.
+        // An error of the bus that comes now goes to this call or to the next: none is handed out while this is locked.
         let state = self.lock();
         let last = waiting.take(Duration::ZERO);
         drop(waiting);
@@ -228,7 +228,7 @@ impl<E> Desk<E> {
         last.map(|answer| self.told(answer))
     }
 
-    /// Only a thread that has ended answers nothing, and it has said why.
+    /// Only a thread that has ended gives no answer, and it has said why.
     fn told<T>(&self, answer: Told<T, E>) -> Result<T, SharedBusError<E>> {
         answer.unwrap_or_else(|_| Err(self.lock().last_words()))
     }
@@ -245,17 +245,17 @@ impl<E> Desk<E> {
         ended.is_some()
     }
 
-    /// Waits again and again, unless the thread does not come round meanwhile: then its driver holds it, and there is
-    /// nothing to wait for.
+    /// Waits again and again, for as long as the thread makes rounds meanwhile. If it makes none, its driver holds it,
+    /// and there is nothing to wait for.
     fn unless_held<T>(&self, mut wait: impl FnMut(Duration) -> Option<T>) -> Option<T> {
         let longest_look = self.lock().longest_round / LOOKS;
         let mut look = || wait(longest_look);
-        // What comes soon costs nobody another round.
+        // An answer that comes soon costs no extra round.
         let mut outcome = look();
         while outcome.is_none() {
             let state = self.lock();
             let rounds = state.rounds;
-            // One that idles comes round, too.
+            // A thread that idles makes a round, too.
             self.leave(state);
             outcome = (0..LOOKS).find_map(|_| look());
             if self.lock().rounds == rounds {
@@ -267,7 +267,7 @@ impl<E> Desk<E> {
 
     // ---- the thread's side ----
 
-    /// Hands the clerk what is there: orders, then set-points, then questions, then set-points that are newer than
+    /// Hands everything to the clerk: orders, then set-points, then questions, then set-points that are newer than
     /// a question which ends motion. False when it is time to end.
     pub(super) fn take(&self, clerk: &mut impl Clerk<E>) -> bool {
         let mut guard = self.lock();
@@ -276,7 +276,7 @@ impl<E> Desk<E> {
         state.rounds += 1;
         state.hand_over_orders(clerk);
         state.hand_over_set_points(clerk);
-        // What one motor is asked, it is asked in that order.
+        // Questions to one motor keep their order.
         let mut busy = MotorSet::EMPTY;
         for question in std::mem::take(&mut state.questions) {
             if question.asker.strong_count() == 0 && !question.command.kind.ends_motion() {
@@ -313,7 +313,7 @@ impl<E> Desk<E> {
         self.lock().has_restarted(motor);
     }
 
-    /// Hands an event to whoever wants it.
+    /// Hands an event to all subscribers.
     pub(super) fn publish(&self, event: &Event) {
         let mut state = self.lock();
         state.subscribers.retain(|subscriber| subscriber.deliver(event));
@@ -329,9 +329,9 @@ impl<E> Desk<E> {
         }
     }
 
-    /// The bus has failed. Tells those whose answers these are, all who wait here and, until it [works](Self::works)
-    /// again, all who come; if nobody is there to be told, whoever comes next. What ends motion and has nobody to put it
-    /// again stays.
+    /// The bus has failed. The error goes to the callers that wait for these answers, to all whose questions wait here,
+    /// and, until the bus [works](Self::works) again, to all that come. If none is there to get it, the next caller
+    /// does. A question that ends motion stays if its caller has gone, since nothing would ask it again.
     pub(super) fn fail(&self, error: &Arc<E>, asked: impl IntoIterator<Item = Answer<Data, E>>) {
         let mut state = self.lock();
         let tell = |answer: &Answer<Data, E>| {
@@ -343,7 +343,7 @@ impl<E> Desk<E> {
             told += usize::from(is_told);
             !is_told && question.command.kind.ends_motion()
         });
-        // While it goes on failing, whoever comes is told.
+        // While the bus goes on failing, each caller gets the error.
         if told == 0 && state.outage.is_none() {
             state.error = Some(Arc::clone(error));
         }
@@ -355,22 +355,22 @@ impl<E> Desk<E> {
         self.lock().outage = None;
     }
 
-    /// The thread has panicked, with these words, and has a last stop to send.
+    /// The thread has panicked, with this message, and has a last stop to send.
     pub(super) fn has_panicked(&self, words: Arc<str>) {
         let mut state = self.lock();
         state.life = Life::Panicked(words);
-        // Whoever waits is told by that.
+        // This wakes the callers that wait.
         state.orders.clear();
         state.questions.clear();
     }
 
-    /// The thread ends: nobody is told anything any more.
+    /// The thread ends: no subscriber gets anything any more.
     pub(super) fn end(&self) {
         self.lock().subscribers.clear();
     }
 }
 
-/// Where an answer goes, and where it is waited for.
+/// Where an answer goes, and where its caller waits for it.
 fn call<T, E>() -> (Answer<T, E>, Waiting<T, E>) {
     let (answer, answered) = sync_channel(1);
     (answer, Waiting { answered, asker: Arc::default() })

@@ -9,39 +9,38 @@ use myactuator_protocol_core::master::Failure;
 
 use crate::open::BusError;
 
-/// Why a call to a [`SharedBus`](super::SharedBus) has no answer: what
-/// [`CallError`](myactuator_protocol_core::io::CallError) is to a loop, and what may have become of the
-/// thread.
+/// Why a call to a [`SharedBus`](super::SharedBus) has no answer: the cases of
+/// [`CallError`](myactuator_protocol_core::io::CallError), and what may have become of the thread.
 #[derive(thiserror::Error)]
 pub enum SharedBusError<E = BusError> {
-    /// The bus driver reports an error; several callers may get the same. A command may have been sent
-    /// all the same.
+    /// The bus driver reports an error; several callers may get the same error. A command may have been sent
+    /// nevertheless.
     #[error("the bus reports an error: {0:?}")]
     Bus(Arc<E>),
     /// The command could not be sent as asked.
     #[error("motor {motor}: {refusal}")]
     Refused {
-        /// Whom it was for.
+        /// The motor that it was for.
         motor: MotorId,
         /// Why it could not be sent.
         refusal: RequestError,
     },
-    /// It was sent, and has no answer, or a stop came before it.
+    /// The command was sent and has no answer, or a stop came before it.
     #[error("motor {motor}: {failure}")]
     Failed {
-        /// Who was asked.
+        /// The motor that was asked.
         motor: MotorId,
         /// Why there is no answer.
         failure: Failure,
     },
-    /// The bus driver keeps its thread for 2 s already (or the program was frozen). Whether a command was sent is
-    /// not known, nor whether the driver sends it yet in the round in which it hangs; after that round no command that a
-    /// stop would refuse, a move say, is sent any more.
+    /// The bus driver has kept its thread for 2 s (or the program was frozen). It is not known whether a command was
+    /// sent, or will still be sent in the round in which the driver hangs. After that round no command that a stop
+    /// would refuse, such as a move, is sent any more.
     #[error(
         "the driver of the bus does not come back, so it is not known whether the command is sent: if a motor must stop now, cut its power"
     )]
     Held,
-    /// The bus driver panicked, with these words, and the thread has ended.
+    /// The bus driver panicked, with this message, and the thread has ended.
     #[error("the thread of the bus has panicked: {0}")]
     Panicked(Arc<str>),
 }
@@ -58,8 +57,8 @@ impl<E> Clone for SharedBusError<E> {
     }
 }
 
-/// The same sentence as `Display`, as [`BusError`] has it; of the driver's error its own words alone, since a
-/// [`CallError`](myactuator_protocol_core::io::CallError) says itself whose they are.
+/// The same sentence as `Display`, as for [`BusError`]. An error of the driver prints only its own words, since a
+/// [`CallError`](myactuator_protocol_core::io::CallError) already says that they are the driver's.
 impl<E: fmt::Debug> fmt::Debug for SharedBusError<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -1,4 +1,4 @@
-//! A thread that leaves its control loop leaves it through the stop, also while others have handles.
+//! A thread that leaves its control loop leaves it through the stop, also while other threads have handles.
 
 use std::fmt;
 use std::ops::Deref;
@@ -10,16 +10,14 @@ use crate::open::BusError;
 
 /// A handle that stops all motors of the bus when its thread leaves it: by `?`, `break`, `return`, a panic that
 /// unwinds, or at its end. It is to threads what [`io::Guard`](myactuator_protocol_core::io::Guard) is to a loop, and
-/// is used as the handle itself.
+/// is used like the handle itself. A plain handle does not stop them: while any other thread has one, the motors go on.
 ///
-/// A handle alone does not: while any other thread has one, the motors go on.
+/// It waits for the motors for up to [a second](myactuator_protocol_core::io::LONGEST_STOP), and as long again if its
+/// handle is the last. With a guard for each of two buses in one thread, the second bus is stopped only after that if
+/// the first is cut. [`Guards`] stop several buses at the same time.
 ///
-/// It waits for the motors, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP), and for as long once more
-/// where its handle is the last: of two buses in one thread the second would be stopped after that, where the first is
-/// cut. [`Guards`] stop several at the same time.
-///
-/// It cannot stop them where nobody leaves it: when `main` returns while it lives in another thread, for example. [What
-/// ends a shared bus](super#what-ends-it) names the others.
+/// It cannot stop the motors if its scope is never left, for example when `main` returns while it lives in another
+/// thread. [What ends a shared bus](super#what-ends-it) lists the other cases.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -40,12 +38,12 @@ use crate::open::BusError;
 pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError>(Guards<1, E>);
 
 impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
-    /// Guards what is done by this handle.
+    /// Guards what is done with this handle.
     pub const fn new(bus: SharedBus<E>, kind: StopKind) -> Self {
         Self(Guards::new([bus], kind))
     }
 
-    /// Stops all motors now, as [`SharedBus::stop_all`] does, and gives those that have not confirmed it: **cut
+    /// Stops all motors now, as [`SharedBus::stop_all`] does, and returns those that have not confirmed it: **cut
     /// their power**.
     ///
     /// # Errors
@@ -56,8 +54,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
     }
 }
 
-/// Handles of several buses, of which all motors are stopped when their thread leaves them, as by a [`Guard`] of each, but
-/// at the same time: a bus that is cut holds up no other. It is used as the array of the handles.
+/// Handles of several buses. When their thread leaves them, the motors of all buses are stopped, as by a [`Guard`] of
+/// each bus, but at the same time: a bus that is cut holds up no other. It is used like the array of the handles.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -86,15 +84,16 @@ pub struct Guards<const M: usize, E: fmt::Debug + Send + Sync + 'static = BusErr
 }
 
 impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
-    /// Guards what is done by these handles.
+    /// Guards what is done with these handles.
     pub const fn new(buses: [SharedBus<E>; M], kind: StopKind) -> Self {
         Self { buses, kind, is_finished: false }
     }
 
-    /// Stops all motors of all buses now, and gives those of each that have not confirmed it: **cut their power**.
+    /// Stops all motors of all buses now, and returns those of each bus that have not confirmed it: **cut their
+    /// power**.
     ///
     /// # Errors
-    /// Of each bus, as [`SharedBus::stop_all`].
+    /// For each bus, as [`SharedBus::stop_all`].
     pub fn finish(mut self) -> [Result<MotorSet, SharedBusError<E>>; M] {
         self.is_finished = true;
         self.stop()
@@ -107,7 +106,7 @@ impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
 }
 
 impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Drop for Guards<M, E> {
-    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    /// To know which motors have not confirmed the stop, call [`finish`](Self::finish).
     fn drop(&mut self) {
         if !self.is_finished {
             let _unconfirmed = self.stop();

@@ -1,6 +1,6 @@
-//! One bus for many threads: a thread of its own runs the master, and everybody else has handles.
+//! One bus for many threads: a thread of its own runs the master, and the other threads have handles.
 //!
-//! Stands above [`open`](crate::open), and takes any other loop as well. A [`SharedBus`] is a handle:
+//! This module stands above [`open`](crate::open), and takes any other loop as well. A [`SharedBus`] is a handle:
 //! clone it and give the clones away. Calls from several threads are under way at the same time, so
 //! eight threads that ask eight motors fill the bus as one control loop does.
 //!
@@ -44,13 +44,14 @@
 //! ```
 //!
 //! # Before it is shared
-//! A handle is no [`Runner`](myactuator_protocol_core::io::Runner), and
-//! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one, but for brakes, moves that are watched to their
-//! end, protection and restarts ([`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
-//! [`check_brake`](SharedBus::check_brake), [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect), [`restart`](SharedBus::restart)): first contact,
-//! zeroing, another id. Do these on the master, and share it then. [`SharedBus::new`] takes any master;
-//! its calls wait for up to 1 ms more than those of [`SharedBus::open`]. Whoever opens the port, and so has its clock,
-//! is spared that by [`with_wake`](SharedBus::with_wake).
+//! [`bring_up`](myactuator_protocol_core::io::bring_up) needs a [`Runner`](myactuator_protocol_core::io::Runner), which
+//! a handle is not. A handle itself offers only brakes, watched moves, protection and restarts:
+//! [`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
+//! [`check_brake`](SharedBus::check_brake), [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and
+//! [`restart`](SharedBus::restart). Do the rest (first contact, zeroing, another id) on the master, and share it then.
+//!
+//! [`SharedBus::new`] takes any master; its calls wait for up to 1 ms more than those of [`SharedBus::open`]. If you
+//! open the port yourself, and so have its clock, [`with_wake`](SharedBus::with_wake) avoids that.
 //!
 //! ```
 //! use myactuator_host_std::open::AnyMaster;
@@ -69,30 +70,35 @@
 //! ```
 //!
 //! # A motor that restarts
-//! Its turns may be gone, so that moves and set-points are refused from then on. [Subscriptions](Subscription) hear of it
-//! ([`Restarted`](myactuator_protocol_core::master::Event::Restarted)), and so does whoever moves it. Until it is stopped
-//! it may turn on, as it was told last. Stop it, read where it believes to be, and [`resume`](SharedBus::resume); lift
-//! the stop, and open its brake again. The same holds behind a [`restart`](SharedBus::restart) that you call for.
+//! Its turns may be lost, so moves and set-points are refused from then on. [Subscriptions](Subscription) get
+//! [`Restarted`](myactuator_protocol_core::master::Event::Restarted), and a thread that moves it gets an error. Until
+//! it is stopped it may go on turning, as it was last commanded. The same holds after a [`restart`](SharedBus::restart)
+//! that you call.
+//!
+//! 1. Stop it, and read its angle: it may have lost its turns.
+//! 2. [`resume`](SharedBus::resume)
+//! 3. Lift the stop, and open its brake again.
 //!
 //! # What ends it
-//! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.
-//! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who
-//! has not confirmed this stop is told to [subscriptions](Subscription) that have room alone, as the last that they hear
-//! ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)): call
-//! [`stop_all`](SharedBus::stop_all) first to be told yourself.
+//! - **A thread leaves its control loop** while others have handles: the motors go on. A [`Guard`] stops them.
+//! - **The last handle is dropped:** all motors are stopped and the thread ends; the drop waits for that. Motors that
+//!   have not confirmed this stop are reported only to [subscriptions](Subscription) that have room, as their last
+//!   events ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)). To know them yourself call
+//!   [`stop_all`](SharedBus::stop_all) first.
+//! - **The program ends without that:** it is killed, aborts, calls `exit`, is ended by a signal (Ctrl-C) that it does
+//!   not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**, which ends all threads
+//!   where they are. Then nothing stops the motors. Join the threads first. Have a thread wait for signals and stop the
+//!   motors with [`begin_stop_all`](SharedBus::begin_stop_all), as in the example `threads`. For the rest set the
+//!   motors' communication-loss protection (0xB3).
 //!
-//! Nobody stops the motors of a program that is killed, aborts, calls `exit`, is ended by a signal (Ctrl-C) that it does
-//! not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**: that ends all threads where
-//! they are. Join them first. A thread that waits for signals stops the motors by
-//! [`begin_stop_all`](SharedBus::begin_stop_all), as the example `threads` has it. For the rest set the motors'
-//! communication-loss protection (0xB3).
-//!
-//! An error of the bus is told to all who wait for an answer, and to all who ask or move a motor until it works again; if
-//! it does so before anybody was told, to whoever comes next. A command that ends motion is taken all the same. The
-//! thread goes on and tries again. A panic in the bus's driver stops the motors, as far as that driver still works, and
-//! is told to everybody from then on; who has not confirmed this stop is told to subscriptions, too, and all are if the
-//! driver panics again. Nobody waits for a driver that does not come back: after 2 s each call says so, and each stop
-//! has nobody's confirmation.
+//! # When the bus fails
+//! - **The bus reports an error:** every call that waits for an answer gets it, and so does every call that asks or
+//!   moves a motor until the bus works again. If it works again before any call got the error, the next call gets it. A
+//!   command that ends motion is accepted nevertheless. The thread goes on and tries again.
+//! - **The driver of the bus panics:** the motors are stopped, as far as the driver still works, and every call says so
+//!   from then on. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
+//!   motors.
+//! - **The driver does not return:** after 2 s each call says so, and each stop counts as unconfirmed.
 
 mod calls;
 mod desk;

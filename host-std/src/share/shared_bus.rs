@@ -18,15 +18,14 @@ use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 /// As many motors as the protocol has ids for.
 const MOTORS: usize = MotorId::COUNT;
 
-/// A bus that a thread of its own runs; see [the module](super). A handle: clones share the bus, and the
-/// last one that is dropped stops all motors, waits for that and ends the thread.
+/// A handle of a bus that a thread of its own runs; see [the module](super). Clones share the bus. When the last one is
+/// dropped, all motors are stopped; the drop waits for that and ends the thread.
 ///
-/// What a call waits for is the bus's affair alone: no other caller's question delays it, unless it is
-/// to the same motor.
+/// A call waits only for the bus. A question of another caller does not delay it, unless it is to the same motor.
 pub struct SharedBus<E = BusError>(Arc<Running<E>>);
 
-/// A handle that does not keep the bus running, for a thread that watches it: one that loops over a [`Subscription`]
-/// with a handle in its hand would never see the end.
+/// A handle that does not keep the bus running, for a thread that watches it. A thread that loops over a
+/// [`Subscription`] while it holds a [`SharedBus`] would never see the end.
 pub struct WeakBus<E = BusError>(Weak<Running<E>>);
 
 impl<E> WeakBus<E> {
@@ -48,8 +47,8 @@ impl<E> fmt::Debug for WeakBus<E> {
     }
 }
 
-/// A stop of all that is under way; see [`SharedBus::begin_stop_all`]. It goes on if this is dropped, and is no handle:
-/// where the bus has ended meanwhile, waiting for it says so.
+/// A stop of all motors that is under way; see [`SharedBus::begin_stop_all`]. If this is dropped, the stop goes on.
+/// This is no handle: if the bus has ended meanwhile, waiting for the stop says so.
 #[must_use = "those that have not confirmed the stop may still move: cut their power"]
 pub struct Stopping<E = BusError> {
     desk: Arc<Desk<E>>,
@@ -72,7 +71,7 @@ impl<E> fmt::Debug for Stopping<E> {
     }
 }
 
-/// The thread, for as long as somebody has a handle.
+/// The thread, for as long as there is a handle.
 struct Running<E> {
     desk: Arc<Desk<E>>,
     thread: Option<JoinHandle<()>>,
@@ -81,9 +80,9 @@ struct Running<E> {
 impl<E> Drop for Running<E> {
     fn drop(&mut self) {
         self.desk.close();
-        // One that its driver holds cannot be waited for: it stops the motors when it is let go.
+        // A thread that its driver holds is not waited for: it stops the motors when the driver returns.
         if let Some(thread) = self.thread.take_if(|thread| self.desk.wait_for_end(thread)) {
-            // Its panics were caught, and told.
+            // Its panics were caught, and reported.
             let _ = thread.join();
         }
     }
@@ -102,11 +101,11 @@ impl<E> fmt::Debug for SharedBus<E> {
 }
 
 impl SharedBus {
-    /// Opens the bus that this names, for up to 32 motors; a simulated one in real time. When it ends,
-    /// motors are stopped in this way.
+    /// Opens the bus that `address` names, for up to 32 motors; a simulated bus runs in real time. When the bus ends,
+    /// its motors are stopped as `at_end` says.
     ///
     /// # Errors
-    /// [`BusError`] tells why it cannot be opened, and what to do.
+    /// [`BusError`] says why it cannot be opened, and what to do.
     ///
     /// # Panics
     /// If the operating system has no thread left.
@@ -117,11 +116,11 @@ impl SharedBus {
 }
 
 impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
-    /// Runs this loop in a thread. When it ends, motors are stopped in this way.
+    /// Runs this loop in a thread. When the bus ends, its motors are stopped as `at_end` says.
     ///
-    /// The loop's clock cannot be woken, so a call waits for up to 1 ms before the loop sees it, unless a
-    /// frame comes first; [`with_wake`](Self::with_wake) spares that. A simulated bus in virtual time
-    /// goes on while somebody waits for its answer, and stands still otherwise.
+    /// The loop's clock cannot be woken, so it takes up to 1 ms until the loop sees a call, unless a
+    /// frame comes first; [`with_wake`](Self::with_wake) avoids that. A simulated bus in virtual time
+    /// goes on while a call waits for its answer, and stands still otherwise.
     ///
     /// # Panics
     /// If the operating system has no thread left.
@@ -133,7 +132,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// As [`new`](Self::new), with a function that ends the loop's [`idle`](Runner::idle), or its next one if
-    /// it does not idle now: [`HostWaker::wake`](crate::port::HostWaker::wake), or
+    /// it does not idle now. Such functions are [`HostWaker::wake`](crate::port::HostWaker::wake), and
     /// [`World::wake`](crate::sim::bus::World::wake) of a world in real time.
     ///
     /// # Panics
@@ -171,14 +170,14 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         &self.0.desk
     }
 
-    /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
-    /// threads' questions are under way meanwhile; to one motor they go in their order, but for what ends motion, which
-    /// goes before all that waits and drops what moves the motor.
+    /// Sends a command to one motor and waits for its answer, or, if it has none, until it was sent. Questions of other
+    /// threads are under way meanwhile. Questions to one motor are sent in their order; a command that ends motion goes
+    /// before everything that waits for the motor, and drops what moves it.
     ///
     /// # Errors
-    /// [`SharedBusError`]. What is next and gets no turn within 2 s, since a stop waits for a bus that is down,
-    /// say, is [`Busy`](myactuator_protocol_core::error::RequestError::Busy); where the driver of the bus keeps its
-    /// thread for 2 s, [`Held`](SharedBusError::Held).
+    /// [`SharedBusError`]. If the command is next and gets no turn within 2 s, for example because a stop waits for a
+    /// bus that is down, it is refused as [`Busy`](myactuator_protocol_core::error::RequestError::Busy). If the driver
+    /// of the bus keeps its thread for 2 s, the error is [`Held`](SharedBusError::Held).
     pub fn ask<C: Command>(
         &self,
         motor: MotorId,
@@ -200,8 +199,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.put(motor, &command, Insistence::Of(patience), None)
     }
 
-    /// Asks several motors at the same time, so that it takes as long as the slowest, and gives an outcome each, in the
-    /// order of the questions.
+    /// Asks several motors at the same time, which takes as long as the slowest one. Returns one outcome for each
+    /// question, in their order.
     ///
     /// ```
     /// # use myactuator_host_std::protocol::MotorId;
@@ -216,7 +215,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
-    /// Each error is that of one question; the others go on. Those of one motor go in their order.
+    /// Each error is that of one question; the others go on. Questions to one motor are sent in their order.
     pub fn ask_together<C: Command, const M: usize>(
         &self,
         questions: [(MotorId, C); M],
@@ -227,7 +226,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         });
         let mut is_held = false;
         asked.map(|(motor, awaited)| {
-            // Who holds one of them holds the others, and each would be waited for as long.
+            // The driver that holds one of them holds the others, and each would wait for as long again.
             let reply = if is_held { desk.take_answer(awaited) } else { desk.wait(awaited) };
             is_held |= matches!(reply, Err(SharedBusError::Held));
             read::<C, E>(motor, &reply?)
@@ -246,18 +245,21 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         read::<C, E>(motor, &reply)
     }
 
-    /// Puts a set-point in a motor's stream, whoever put the one before it: only the newest waits. Never
-    /// waits itself.
+    /// Puts a set-point in a motor's stream. Only the newest set-point waits, whichever thread has put it. Does not
+    /// wait.
     ///
-    /// So it says nothing of what becomes of it: a motor that has fallen silent is refused set-points after a second
-    /// only, as one that may have restarted, and one that was never heard, such as a wrong id, is refused none. See when it
-    /// was [heard](Self::latest) last, or [subscribe](Self::subscribe).
+    /// So it does not say what becomes of the set-point:
+    /// - A motor that has fallen silent may have restarted, but its set-points are refused only after a second.
+    /// - A motor that was never heard, such as a wrong id, is refused no set-point.
+    ///
+    /// Check when the motor was last [heard](Self::latest), or [subscribe](Self::subscribe).
     ///
     /// # Errors
-    /// [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was not taken,
-    /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one
-    /// was not put either. [`SharedBusError::Bus`] if the bus fails, or has failed and nobody was told yet.
-    /// [`SharedBusError::Held`] if nothing was taken up for 2 s.
+    /// - [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was refused, for the
+    ///   reasons of [`Master::set_point`](myactuator_protocol_core::master::Master::set_point); then this one was not
+    ///   put either.
+    /// - [`SharedBusError::Bus`]: the bus fails, or it has failed and no call was told yet.
+    /// - [`SharedBusError::Held`]: the thread of the bus has taken up nothing for 2 s.
     pub fn set_point<C: SetPoint>(
         &self,
         motor: MotorId,
@@ -266,21 +268,20 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().set_point(motor, Untyped::of(&command))
     }
 
-    /// Stops all motors that were spoken to and those of `also`, before anything else is sent, and waits
-    /// until each has confirmed it, or not, for up to
-    /// [a second](myactuator_protocol_core::io::LONGEST_STOP). Gives those that have not: **cut their
-    /// power**; every id there is, if the driver of the bus keeps its thread for 2 s. Whatever may move a motor
-    /// and still waits, of any thread, is dropped, and nothing of that kind is taken until
-    /// [`lift_stop`](Self::lift_stop).
+    /// Stops all motors that were spoken to and those of `also`, before anything else is sent. Waits until each has
+    /// confirmed it or is known not to, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP). Returns those
+    /// that have not confirmed it: **cut their power**. If the driver of the bus keeps its thread for 2 s, these are
+    /// all ids. Whatever waits that may move a motor is dropped, whichever thread it is from, and everything of that
+    /// kind is refused until [`lift_stop`](Self::lift_stop).
     ///
     /// # Errors
-    /// [`SharedBusError::Panicked`]: nobody is there to stop them. **Cut their power.**
+    /// [`SharedBusError::Panicked`]: the thread of the bus has ended and cannot stop them. **Cut their power.**
     pub fn stop_all(&self, kind: StopKind, also: MotorSet) -> Result<MotorSet, SharedBusError<E>> {
         self.begin_stop_all(kind, also).wait()
     }
 
-    /// As [`stop_all`](Self::stop_all), but the caller need not wait, or waits later: several buses are stopped at the
-    /// same time.
+    /// As [`stop_all`](Self::stop_all), but the caller need not wait, or waits later. So several buses are stopped at
+    /// the same time.
     ///
     /// ```
     /// # use myactuator_host_std::protocol::master::{MotorSet, StopKind};
@@ -298,8 +299,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         Stopping { desk: Arc::clone(&self.0.desk), stop: self.desk().stop_all(kind, also) }
     }
 
-    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and gives it if it has not confirmed it: **cut its
-    /// power**. One that a stop in force has switched off stays so: to hold it is confirmed by that, and nothing holds it.
+    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Returns it if it has not confirmed the stop: **cut
+    /// its power**. A motor that a stop in force has switched off stays off: it confirms [`StopKind::Hold`], too, but
+    /// holds nothing.
     ///
     /// # Errors
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
@@ -307,7 +309,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.stop_since(motor, kind, None)
     }
 
-    /// Stops one motor for whoever began to work with it then.
+    /// Stops one motor for a caller that began to work with it at `since`.
     pub(super) fn stop_since(
         &self,
         motor: MotorId,
@@ -318,11 +320,11 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         desk.wait_for_stop(desk.stop(motor, kind, since), motor.into())
     }
 
-    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not
+    /// Accepts again what is refused since [`stop_all`](Self::stop_all) or [`stop`](Self::stop). Does not
     /// wait.
     ///
-    /// **It lifts every stop, of any thread**, also one that came since you stopped the motors yourself, because
-    /// somebody pressed a button. Have one place in a program that lifts stops, and knows of all reasons for them.
+    /// **It lifts every stop, of any thread**, also one that came after your own, for example because somebody has
+    /// pressed a button. Have one place in a program that lifts stops, and knows of all reasons for them.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
@@ -330,8 +332,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::LiftStop)
     }
 
-    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor, **whichever thread has called for that**: only
-    /// who knows why it was stopped lifts it. Does not wait.
+    /// Accepts again what this motor is refused since [`stop`](Self::stop), **whichever thread has called that**. Only
+    /// code that knows why the motor was stopped may lift its stop. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
@@ -339,8 +341,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::LiftStopOf(motor))
     }
 
-    /// Takes set-points and moves again for a motor that [has
-    /// restarted](myactuator_protocol_core::master::Event::Restarted): the caller knows where it is.
+    /// Accepts set-points and moves again for a motor that
+    /// [has restarted](myactuator_protocol_core::master::Event::Restarted). Call it once you know where the motor is.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
@@ -348,9 +350,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::Resume(motor))
     }
 
-    /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. No stop of all
-    /// and no guard reaches a motor that is there from then on, until it is spoken to. Nothing changes while it is being
-    /// spoken to, or may yet be moved by what was sent. Does not wait.
+    /// Gives up the place of an id without a motor; until then each stop of all waits for that id. If there is a motor
+    /// later, no stop of all and no guard reaches it until it is spoken to. Nothing changes while the id is being
+    /// spoken to, or while what was sent may still move a motor there. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
@@ -358,20 +360,20 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::Forget(motor))
     }
 
-    /// The newest feedback of a motor: to its set-points, or reported by itself. `None` if there is none
+    /// The newest feedback of a motor: the reply to a set-point, to a broadcast, or a report. `None` if there is none
     /// yet. Does not wait.
     pub fn latest(&self, motor: MotorId) -> Option<Latest> {
         self.desk().latest(motor)
     }
 
-    /// Everything that the bus reports from now on, to be taken at leisure: up to so many events wait
-    /// (at least one), and what comes then is lost, and counted.
+    /// Subscribes to all events of the bus from now on. Up to `room` events wait (at least one). Events that come while
+    /// there is no room are lost, and counted.
     pub fn subscribe(&self, room: usize) -> Subscription {
         self.desk().subscribe(room)
     }
 }
 
-/// What a motor has answered to such a command.
+/// Decodes what a motor has answered to such a command.
 fn read<C: Command, E>(motor: MotorId, reply: &Data) -> Result<C::Reply, SharedBusError<E>> {
     C::decode_reply(reply).map_err(|error| {
         let failure = Failure::Unreadable(error);

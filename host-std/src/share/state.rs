@@ -18,46 +18,46 @@ const LONGEST_ROUND: Duration = Duration::from_secs(2);
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
-    /// What it said, to its set-point stream or by itself.
+    /// The feedback: a reply to a set-point, to a broadcast, or a report.
     pub reply: AnyReply,
-    /// When that was heard. On a machine that was suspended since then it is older than this says.
+    /// When it was heard. If the machine was suspended since then, it is older than this says.
     pub heard_at: Instant,
 }
 
-/// A set-point that lies there.
+/// A set-point on the desk.
 #[derive(Debug)]
 pub(super) struct LaidDown {
     pub(super) command: Untyped,
-    /// When that was; time since the machine started.
+    /// When it was laid down; time since the machine started.
     pub(super) laid_at: Duration,
-    /// When it was found first, where it has to wait for what ends motion: it is as old as that at least.
+    /// When it was first found, if it has to wait for a question that ends motion: it is at least as old as that.
     pub(super) found_at: Option<time::Instant>,
 }
 
-/// What a motor was told that nothing older may follow.
+/// What has happened to a motor that nothing older may follow.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Past {
     /// How often its motion was to be ended, by a stop or otherwise.
     ended: u32,
-    /// Whether it was let go since it was held, or told to move, for the last time.
+    /// Whether it was let go since it was last held or commanded to move.
     is_let_go: bool,
-    /// How often it was told to have restarted.
+    /// How often it was reported to have restarted.
     restarts: u32,
 }
 
 impl Past {
-    /// What somebody has ended himself keeps nothing of his own back.
+    /// The caller has ended the motion itself, which does not hold back its own commands.
     pub(super) fn note_own_end(&mut self) {
         self.ended = self.ended.wrapping_add(1);
     }
 }
 
-/// What a motor's callers have left and may find.
+/// What callers have left for a motor, and may find of it.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
     /// The newest set-point, until it is taken up.
     pub(super) set_point: Option<LaidDown>,
-    /// Why an earlier one was not taken.
+    /// Why an earlier set-point was refused.
     pub(super) refusal: Option<RequestError>,
     pub(super) latest: Option<Latest>,
 }
@@ -66,9 +66,9 @@ pub(super) struct Slot {
 #[derive(Debug)]
 pub(super) enum Life {
     Running,
-    /// Nobody has a handle any more.
+    /// The last handle was dropped.
     Closing,
-    /// The thread has panicked, with these words.
+    /// The thread has panicked, with this message.
     Panicked(Arc<str>),
 }
 
@@ -80,33 +80,33 @@ pub(super) struct State<E> {
     pub(super) slots: [Slot; MotorId::COUNT],
     stops_all: bool,
     stopped: MotorSet,
-    /// These were switched off by a stop that is in force: what holds does not switch them on.
+    /// These were switched off by a stop that is in force: a command that holds does not switch them on.
     switched_off: MotorSet,
     pub(super) past: [Past; MotorId::COUNT],
-    /// These were told to have restarted, and not resumed.
+    /// These were reported to have restarted, and were not resumed.
     restarted: MotorSet,
-    /// These are on their way, each by one call.
+    /// These are being moved, each by one call.
     pub(super) moving: MotorSet,
-    /// What the bus fails with, since its last round did.
+    /// The error of the bus's last round, if that failed.
     pub(super) outage: Option<Arc<E>>,
-    /// An error that nobody was told yet.
+    /// An error that no caller has got yet.
     pub(super) error: Option<Arc<E>>,
     pub(super) subscribers: Vec<Subscriber>,
-    /// How often the thread took up what there is.
+    /// How often the thread has taken up what is here.
     pub(super) rounds: u64,
-    /// What is laid down the thread takes up sooner, also where it idles: else its driver holds it.
+    /// The thread takes up sooner what is laid down, also if it idles; if not, its driver holds it.
     pub(super) longest_round: Duration,
-    /// Since when something lies there that the thread has not taken up.
+    /// Since when there is something that the thread has not taken up.
     pub(super) news_since: Option<Instant>,
-    /// The thread idles, and has to be woken for what is new.
+    /// The thread idles, and has to be woken for news.
     pub(super) is_idle: bool,
 }
 
-/// Who takes it all up.
+/// Takes up what is on the desk.
 pub(super) trait Clerk<E> {
     fn obey(&mut self, order: Order<E>);
 
-    /// Puts a set-point that was there at this time.
+    /// Puts a set-point that was here at `found_at`.
     fn set_point(
         &mut self,
         motor: MotorId,
@@ -114,10 +114,11 @@ pub(super) trait Clerk<E> {
         found_at: time::Instant,
     ) -> Result<(), RequestError>;
 
-    /// Since when something lies there that was laid down then, by the time since the machine started.
+    /// The time on the bus's clock since when something is here that was laid down at `laid_at` after the machine
+    /// started.
     fn found_at(&self, laid_at: Duration) -> time::Instant;
 
-    /// Puts a question; gives it back if it has to wait.
+    /// Puts a question; returns it if it has to wait.
     fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
 }
 
@@ -148,7 +149,7 @@ impl<E> State<E> {
         &mut self.slots[motor.index()]
     }
 
-    /// Admits a command of whoever began then, or says why not.
+    /// Admits a command of a caller that began at `since`, or says why not.
     pub(super) fn admit(
         &mut self,
         motor: MotorId,
@@ -162,7 +163,7 @@ impl<E> State<E> {
         if is_stopped && kind.is_refused_while_stopped() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
-        // An error that is somebody else's keeps no stop from the bus.
+        // An error of another caller keeps no stop from the bus.
         if !kind.ends_motion() {
             let untold = self.error.take();
             if let Some(error) = self.outage.clone().or(untold) {
@@ -172,14 +173,14 @@ impl<E> State<E> {
         if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
-        // Whoever stops it now does not have it fall.
+        // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
             self.past[motor.index()].is_let_go = false;
         }
         Ok(())
     }
 
-    /// Whether a motor is stopped, or its motion was to be ended since then; `None` for whoever begins now.
+    /// Whether a motor is stopped, or its motion was to be ended since `since`; `None` for a caller that begins now.
     fn is_stopped(&self, motor: MotorId, since: Option<Past>) -> bool {
         self.was_ended_since(motor, since) || self.stops_all || self.stopped.contains(motor)
     }
@@ -188,13 +189,13 @@ impl<E> State<E> {
         since.is_some_and(|since| since.ended != self.past[motor.index()].ended)
     }
 
-    /// Whether a motor has restarted and was not resumed, or has restarted since then.
+    /// Whether a motor has restarted and was not resumed, or has restarted since `since`.
     fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
         let has_since = since.is_some_and(|it| it.restarts != self.past[motor.index()].restarts);
         has_since || self.restarted.contains(motor)
     }
 
-    /// How whoever began then stops a motor: one that somebody has let go since then is not switched on again.
+    /// How a caller that began at `since` stops a motor: one that was let go since then is not switched on again.
     pub(super) fn stop_kind(
         &self,
         motor: MotorId,
@@ -207,7 +208,7 @@ impl<E> State<E> {
         }
     }
 
-    /// Whether whoever began then may move a motor now.
+    /// Whether a caller that began at `since` may move a motor now.
     pub(super) fn may_move(&self, motor: MotorId, since: Past) -> Result<(), RequestError> {
         match self.is_stopped(motor, Some(since)) {
             true => Err(RequestError::Stopped),
@@ -219,7 +220,7 @@ impl<E> State<E> {
     /// Hands the clerk the orders.
     pub(super) fn hand_over_orders(&mut self, clerk: &mut impl Clerk<E>) {
         for order in self.orders.drain(..) {
-            // A restart of before it may have been told meanwhile.
+            // A restart from before the order may have been reported meanwhile.
             if let Order::Resume(motor) = order {
                 self.restarted.remove(motor);
             }
@@ -227,7 +228,7 @@ impl<E> State<E> {
         }
     }
 
-    /// Takes an order, of which this is in force at once, before the thread has seen it.
+    /// Takes an order. What is changed here is in force at once, before the thread has seen the order.
     pub(super) fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
         match order {
             Order::StopAll { kind, .. } => {
@@ -263,8 +264,8 @@ impl<E> State<E> {
         Ok(())
     }
 
-    /// Hands the clerk the set-points, but for those of motors that are still to be asked to end their motion: what
-    /// is there for one of these is newer than that, which would drop it.
+    /// Hands the set-points to the clerk, except for motors with a pending question that ends motion. A set-point of
+    /// such a motor is newer than the question, which would drop it.
     pub(super) fn hand_over_set_points(&mut self, clerk: &mut impl Clerk<E>) {
         let ends_motion = |question: &&Question<E>| question.command.kind.ends_motion();
         let ending: MotorSet =
@@ -283,7 +284,7 @@ impl<E> State<E> {
         }
     }
 
-    /// A stop drops what it refuses and is older, and what would end motion in another way.
+    /// A stop drops what is older and would be refused now, and what would end motion in another way.
     fn drop_what_is_stopped(&mut self, motors: MotorSet, by: StopKind) {
         let is_over = |kind: Kind| kind.is_refused_while_stopped() || kind.ends_motion();
         if by == StopKind::Off {
@@ -292,7 +293,7 @@ impl<E> State<E> {
         self.end_motion(motors, Some(by), is_over);
     }
 
-    /// So does a command that ends motion with what moves, but for other such commands.
+    /// A command that ends motion drops what may move the motor, but not other commands that end motion.
     pub(super) fn drop_what_is_ended(&mut self, motor: MotorId, by: Kind) {
         let by = if by.lets_go() { Some(StopKind::Off) } else { StopKind::by(by) };
         self.end_motion(motor.into(), by, Kind::may_move);
@@ -312,7 +313,7 @@ impl<E> State<E> {
             past.is_let_go = match by {
                 Some(StopKind::Off) => true,
                 Some(StopKind::Hold) => stays_off,
-                // What locks a brake switches nobody on.
+                // A command that locks a brake does not switch the motor on.
                 None => past.is_let_go,
             };
         }
@@ -322,7 +323,7 @@ impl<E> State<E> {
         });
     }
 
-    /// Puts a question behind those that are older; one that ends motion before all others of its motor.
+    /// Queues a question after the older ones; one that ends motion goes before all others of its motor that do not.
     pub(super) fn put(&mut self, question: Question<E>) {
         let is_overtaken = |other: &Question<E>| {
             other.motor == question.motor && !other.command.kind.ends_motion()
@@ -332,7 +333,7 @@ impl<E> State<E> {
         self.questions.insert(overtaken.unwrap_or(self.questions.len()), question);
     }
 
-    /// A motor has restarted: what moves it and is older than the word of it is dropped.
+    /// A motor has restarted: what moves it and is older than this report is dropped.
     pub(super) fn has_restarted(&mut self, restarted: MotorId) {
         self.restarted.insert(restarted);
         let restarts = &mut self.past[restarted.index()].restarts;
@@ -345,7 +346,7 @@ impl<E> State<E> {
         });
     }
 
-    /// Drops the questions of which this gives why.
+    /// Drops the questions for which `why` returns an error.
     fn drop_questions(&mut self, why: impl Fn(MotorId, Kind) -> Option<SharedBusError<E>>) {
         self.questions.retain(|question| {
             let why = why(question.motor, question.command.kind);

@@ -1,4 +1,4 @@
-//! Events for whoever wants them.
+//! Events for any thread that wants them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,11 +6,11 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 
 use myactuator_protocol_core::master::Event;
 
-/// The events of a bus, in their order: of all motors, answers to others' questions included.
+/// The events of a bus, in their order: of all motors, including answers to the questions of other threads.
 ///
-/// As an iterator it waits for the next one, and ends with the bus. It holds so many as it was
-/// [made for](super::SharedBus::subscribe); what comes while it is full is lost, and counted, so that nobody
-/// holds the bus up.
+/// As an iterator it waits for the next event, and ends with the bus. It holds as many events as it was
+/// [made for](super::SharedBus::subscribe). Events that come while it is full are lost, and counted, so that no
+/// subscriber holds the bus up.
 #[derive(Debug)]
 pub struct Subscription {
     events: Receiver<Event>,
@@ -37,7 +37,7 @@ impl Iterator for Subscription {
     }
 }
 
-/// Its other end.
+/// The other end of a [`Subscription`].
 #[derive(Debug)]
 pub(super) struct Subscriber {
     events: SyncSender<Event>,
@@ -53,7 +53,7 @@ impl Subscriber {
         (Self { events: sender, lost }, subscription)
     }
 
-    /// Hands it an event, if it has room. False if nobody is there any more.
+    /// Delivers an event, if there is room. False if the subscription was dropped.
     pub(super) fn deliver(&self, event: &Event) -> bool {
         match self.events.try_send(*event) {
             Ok(()) => true,

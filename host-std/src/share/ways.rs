@@ -1,4 +1,4 @@
-//! Ways of working, through a handle.
+//! Ways of working, with a handle.
 
 use std::fmt;
 use std::ops::ControlFlow;
@@ -21,12 +21,15 @@ use super::{SharedBus, SharedBusError};
 
 impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Moves a motor to an angle, or by one, and watches it until it stands there, as
-    /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Other threads may move other motors
-    /// meanwhile. If one of them ends this motor's motion, by a stop or a command that does, the move has ended, too,
-    /// whether that stop is lifted at once or not. Until it has ended, and the motor is stopped where it has failed, another
-    /// `move_to` of this motor is refused at once ([`MoveFailure::UnderWay`]). Set-points and commands are not: a move that
-    /// has failed stops what they have moved on with, too. A motor that was let go (0x80) meanwhile is not switched on by
-    /// that.
+    /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Meanwhile other threads may move
+    /// other motors.
+    ///
+    /// - If another thread ends this motor's motion, by a stop or by a command that ends motion, the move ends, too,
+    ///   even if that stop is lifted at once.
+    /// - Until the move has ended, and the motor is stopped if the move has failed, another `move_to` of this motor is
+    ///   refused at once ([`MoveFailure::UnderWay`]).
+    /// - Set-points and commands are not refused. A move that fails stops the motor, also if they have moved it on.
+    /// - A motor that was let go (0x80) meanwhile is not switched on by that stop.
     ///
     /// ```
     /// # use std::ops::ControlFlow;
@@ -70,9 +73,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         ))
     }
 
-    /// Opens a motor's brake behind which it holds, and waits until it is open, as
-    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. What another thread has
-    /// the motor do until then ends by that.
+    /// Opens a motor's brake while the motor holds, and waits until it is open, as
+    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. This ends a motion that
+    /// another thread has commanded.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -80,10 +83,10 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         block_on(async_bring_up::release_brake(&mut Way::on(self, motor), motor))
     }
 
-    /// Locks the brake of a motor that stands, and waits until it has had the time to, as
+    /// Locks the brake of a motor that stands, and waits until it has had the time to lock, as
     /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
-    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses those, but also that the brake is
-    /// opened again where it slips: [lift](Self::lift_stop_of) it before that.
+    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses such set-points. It also refuses
+    /// to open a brake that slips again: [lift](Self::lift_stop_of) the stop before that.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -91,7 +94,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         block_on(async_bring_up::lock_brake(&mut Way::on(self, motor), motor))
     }
 
-    /// Looks whether the shaft stands behind its locked brake once its motor is off, as
+    /// Checks that the shaft of a motor that is off stands behind its locked brake, as
     /// [`bring_up::check_brake`](myactuator_protocol_core::io::bring_up::check_brake) does.
     ///
     /// # Errors
@@ -100,8 +103,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         block_on(async_bring_up::check_brake(&mut Way::on(self, motor), motor))
     }
 
-    /// Sets after how long without a command a motor stops by itself (0xB3), as
-    /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. Any thread that speaks to it is enough.
+    /// Sets after how long without a command a motor stops on its own (0xB3), as
+    /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. A command of any thread counts.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -114,8 +117,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Restarts a drive (0x76), which also clears errors whose cause is gone, and waits until it answers, as
-    /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. Have no other thread move the motor
-    /// from before that. Behind it all threads are refused what moves it: read its angle, since whole turns may be
+    /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. No other thread may move the motor
+    /// meanwhile. After the restart all threads are refused what moves it. Read its angle, since whole turns may be
     /// lost, [`resume`](Self::resume), and open its brake again.
     ///
     /// ```
@@ -140,13 +143,13 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 }
 
-/// A bus as ways of working see it. Each of its futures waits by itself, so that none has to be woken.
+/// A bus as ways of working see it. Each of its futures blocks, so that none has to be woken.
 struct Way<'a, E> {
     bus: &'a SharedBus<E>,
-    /// What the motor had been told when this began: nothing of it follows an end of motion, or a restart, that came
+    /// The motor's past when this began: nothing from here follows an end of motion, or a restart, that came
     /// since.
     since: Past,
-    /// What the clock of the bus said last.
+    /// The last time that the clock of the bus returned.
     now: Instant,
 }
 
@@ -155,7 +158,7 @@ impl<'a, E: fmt::Debug + Send + Sync + 'static> Way<'a, E> {
         Self { bus, since: bus.desk().past(motor), now: Instant::ZERO }
     }
 
-    /// What time it is when it is no earlier than that.
+    /// Waits until the clock of the bus has reached `earliest`; returns its time.
     fn time_at(&mut self, earliest: Instant) -> Result<Instant, SharedBusError<E>> {
         let desk = self.bus.desk();
         self.now = desk.wait(desk.wait_until(earliest))?;
@@ -167,7 +170,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     type Error = SharedBusError<E>;
 
     fn now(&mut self) -> Instant {
-        // Where the thread has ended, the next call says so.
+        // If the thread has ended, the next call says so.
         self.time_at(Instant::ZERO).unwrap_or(self.now)
     }
 
@@ -184,7 +187,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         let insistence = attempts.map_or(Insistence::Usual, Insistence::Attempts);
         let ends_motion = command.kind().ends_motion();
         let reply = self.bus.put(motor, &command, insistence, Some(self.since));
-        // It may have been sent, whatever has come of it.
+        // It may have been sent, whatever the outcome.
         if ends_motion && !matches!(reply, Err(SharedBusError::Refused { .. })) {
             self.since.note_own_end();
         }
@@ -196,7 +199,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
-        // Where the thread has ended, it has stopped the motors.
+        // If the thread has ended, it has stopped the motors.
         let _ = self.bus.desk().stop(motor, kind, Some(self.since));
     }
 
@@ -209,7 +212,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         let _ = self.bus.desk().order(Order::NoteRestart(motor));
     }
 
-    /// Others may move it, too: each has to know first.
+    /// Does nothing: other threads may move the motor, too, and each has to know of the restart first.
     fn resume(&mut self, _: MotorId) {}
 }
 

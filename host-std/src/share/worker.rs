@@ -17,14 +17,14 @@ use super::desk::Desk;
 use super::state::Clerk;
 use crate::open::since_boot;
 
-/// How long a thread idles that nothing can wake.
+/// How long a thread idles if nothing can wake it.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);
-/// How soon a bus that has failed is tried again.
+/// After how long a bus that has failed is tried again.
 const RETRY_AFTER: time::Duration = time::Duration::from_millis(1);
 
 const NEVER: Instant = Instant::from_micros(u64::MAX);
 
-/// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
+/// Runs the bus until the last handle was dropped, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
     let looked_at = runner.now();
     let taken_at = looked_at;
@@ -36,20 +36,20 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     if let Err(payload) = outcome {
         desk.has_panicked(words(&*payload));
     }
-    // Those who wait find out now, and need not wait for the stop.
+    // Callers that wait find out now, and need not wait for the stop.
     let Worker { mut runner, asked, stopping, waiting, .. } = worker;
     drop((asked, stopping, waiting));
     let all = runner.master().motors();
-    // A driver that has panicked may do it again: then nobody has confirmed.
+    // A driver that has panicked may do it again: then no motor has confirmed.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
-    // Who is left has a subscription.
+    // Only subscriptions are left.
     for motor in stopped.unwrap_or(all).iter() {
         desk.publish(&Event::StopUnconfirmed { motor });
     }
     desk.end();
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn words(payload: &(dyn Any + Send)) -> Arc<str> {
     let text = payload.downcast_ref::<&str>().copied();
     let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str));
@@ -60,13 +60,13 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// Who waits for a time.
+    /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
-    /// Until when the first of the questions that wait for their turn does so.
+    /// The first time at which a question that waits for its turn gives up.
     turn_ends: Option<Instant>,
-    /// When what lay on the desk was taken up last: what lies there now is no older.
+    /// When the desk was last taken up: what is there now is no older.
     taken_at: Instant,
-    /// When that was, or waiting for what comes there ended.
+    /// When that ended, or the idling after it.
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
@@ -74,13 +74,13 @@ struct Worker<R: Runner<N>, const N: usize> {
 
 /// A question that was put.
 struct Asked<E> {
-    /// Gone when nobody waits for the answer any more.
+    /// Gone when the caller no longer waits for the answer.
     asker: Weak<()>,
     ticket: Ticket<Untyped>,
     answer: Answer<Data, E>,
 }
 
-/// A stop that somebody waits for.
+/// A stop that a caller waits for.
 struct Stopping<E> {
     running: MotorSet,
     unconfirmed: MotorSet,
@@ -115,7 +115,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         goes_on
     }
 
-    /// What moves a motor and was given up, while the driver held this thread, does not go out late.
+    /// A command that moves a motor, and that its caller gave up while the driver held this thread, is not sent late.
     fn withdraw_what_was_given_up(&mut self) {
         let master = self.runner.master();
         self.asked.retain(|asked| {
@@ -127,15 +127,15 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         });
     }
 
-    /// Tells whoever an event concerns.
+    /// Hands an event to all that it concerns.
     fn tell(&mut self, event: &Event, desk: &Desk<R::Error>) {
-        // Unless somebody has resumed it already.
+        // Unless it was resumed already.
         if let Event::Restarted { motor } = *event
             && self.runner.master().has_restarted(motor)
         {
             desk.has_restarted(motor);
         }
-        // Who has its answer and then subscribes gets nothing older.
+        // A caller that has its answer and then subscribes gets nothing older.
         desk.publish(event);
         self.answer(event);
     }
@@ -147,7 +147,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             let asked = self.asked.swap_remove(at);
             let motor = asked.ticket.id().motor();
             let failed = |failure| SharedBusError::Failed { motor, failure };
-            // Who asked waits for it.
+            // If the caller has gone, the answer is lost.
             let _ = asked.answer.send(outcome.map(|reply| reply.0).map_err(failed));
         }
         for stop in &mut self.stopping {
@@ -165,11 +165,11 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         }
     }
 
-    /// Tells those who wait for a stop that is over; that its time is up, which is no event of the master, whoever
-    /// watches, too.
+    /// Answers the callers that wait for a stop that is over. A stop whose time is up is no event of the master, so
+    /// subscriptions are told here, too.
     fn end_stops(&mut self, desk: &Desk<R::Error>) {
         let now = self.runner.now();
-        // One to all at once may be what stops those whom nobody has named.
+        // The stop to all at once may be the only one for motors that were not named.
         let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
         self.stopping.retain_mut(|stop| {
             let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
@@ -185,7 +185,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         });
     }
 
-    /// Tells those whose time has come.
+    /// Answers the callers whose time has come.
     fn end_waits(&mut self) {
         let now = self.runner.now();
         self.waiting.retain(|(until, answer)| {
@@ -197,7 +197,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         });
     }
 
-    /// When something is to be done that no event brings about.
+    /// When something is to be done that no event triggers.
     fn wake_at(&self) -> Option<Instant> {
         let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
         let of_stops = (!self.stopping.is_empty()).then_some(look_again);
@@ -224,23 +224,23 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         self.looked_at = self.runner.now();
     }
 
-    /// Tells everybody who waits, and lets the bus rest.
+    /// Hands the error to all that wait, and lets the bus rest.
     fn fail(&mut self, error: R::Error, desk: &Desk<R::Error>) {
         self.has_failed = true;
         let error = Arc::new(error);
         let master = self.runner.master();
         let answers = self.asked.drain(..).map(|asked| {
-            // Who is told of a failure may do it again.
+            // A caller that gets the error may ask again.
             master.withdraw(asked.ticket.id());
             asked.answer
         });
         desk.fail(&error, answers);
-        // A bus that goes on failing has no other round to tell it in.
+        // A bus that goes on failing has no other round for its events.
         if let Some(event) = self.runner.master().poll_event() {
             self.tell(&event, desk);
         }
         desk.wait_for_callers(RETRY_AFTER);
-        // In virtual time, time goes on here only.
+        // Virtual time goes on only here.
         let until = self.runner.now() + RETRY_AFTER.into();
         self.runner.idle(until);
     }
@@ -261,7 +261,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         let master = self.runner.master();
         match order {
             Order::StopAll { kind, also, answer } => {
-                // Those that the master has no place for are not stopped, which counts as unconfirmed.
+                // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
                 self.await_stop(running, also, answer);
@@ -278,7 +278,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::NoteRestart(motor) => master.note_restart(motor),
             Order::Wait { until, answer } => self.waiting.push((until, answer)),
             Order::Forget(motor) => {
-                // While it is spoken to it keeps its place, as is documented.
+                // While it is spoken to it keeps its place, as documented.
                 let _ = master.forget(motor);
             }
         }
@@ -294,7 +294,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     }
 
     fn found_at(&self, laid_at: time::Duration) -> Instant {
-        // A driver may have been busy for long since then, and the program have been held in its waiting.
+        // Since then the driver may have been busy for long, and the program may have been suspended while it waited.
         let now = self.runner.now();
         let age = Duration::from(since_boot().saturating_sub(laid_at));
         let laid_at = Instant::ZERO + ((now - Instant::ZERO) - age);
