@@ -13,30 +13,32 @@ use crate::port::clock::Backlog;
 use crate::port::outage::Outage;
 use crate::port::{HostClock, PortError};
 
-/// The kernel's error reports that tell whether the bus carries frames: time-out, controller state,
-/// missing acknowledgement, bus off, restarted (`linux/can/error.h`).
+/// The kernel's error reports that say whether the bus carries frames: time-out, controller state,
+/// missing acknowledgement, bus-off, restarted (`linux/can/error.h`).
 const REPORTS: u32 = 0x001 | 0x004 | 0x020 | 0x040 | 0x100;
-/// Reports and frames that are looked at in one call at the most.
+/// The most reports and frames that one call reads.
 const READS_A_CALL: usize = 64;
 
 /// A CAN interface of Linux, such as `can0`: a raw socket that never blocks.
 ///
-/// Error reports of the controller are not handed on as frames. One that says that the bus carries
-/// nothing (bus off, no acknowledgement, error-passive while sending, transmit time-out), and an error of the interface
-/// (down, gone), makes [`transmit`](Can::transmit) refuse, with an error, all that could move a motor, until a frame
-/// comes or the controller recovers; reads and stops still go. Of a master that is given set-points all the while no
-/// read goes either, for it takes each refusal for a bus that is down: behind the error stop the motors, whose answers
-/// are frames.
+/// Error reports of the controller are not returned as frames. From a report that the bus carries
+/// nothing (bus-off, no acknowledgement, error-passive while sending, transmit time-out), or an error of the interface
+/// (down, gone), until a frame comes or the controller recovers, [`transmit`](Can::transmit) returns an error for all
+/// that could move a motor. Reads and stops are still sent.
+///
+/// A master that streams set-points sends no read then either: it takes each refused set-point for a bus that is down.
+/// So after such an error stop the motors: their answers are frames.
 ///
 /// # What the kernel may send late
-/// Frames that were handed over before such a report, some two milliseconds after the bus went, wait
-/// in the kernel and in the controller, and nothing short of `ip link set can0 down` takes them back:
-/// closing the socket does not. They go out when the bus is back. This socket keeps its own share
-/// small (the smallest send buffer that the kernel allows, about six frames) and never waits for
-/// room. To leave fewer, make the interface's queue short, `ip link set can0 txqueuelen 3`, or let
-/// the controller try each frame only once, `ip link set can0 type can one-shot on`: then a frame that
-/// nobody acknowledges, or that loses arbitration, is gone, and the master asks again. Drives should
-/// be protected on their own side as well, by communication-loss protection (0xB3).
+/// Such a report comes some two milliseconds after the bus has failed. Frames that were handed over before it wait in
+/// the kernel and in the controller, and are sent when the bus is back. Only `ip link set can0 down` takes them back;
+/// closing the socket does not. This socket keeps its own share small (the smallest send buffer that the kernel allows,
+/// about six frames) and never waits for room. To leave fewer:
+/// - make the interface's queue short: `ip link set can0 txqueuelen 3`;
+/// - or let the controller try each frame only once: `ip link set can0 type can one-shot on`. Then a frame that
+///   is not acknowledged, or that loses arbitration, is gone, and the master asks again.
+///
+/// Protect the drives on their own side as well, with communication-loss protection (0xB3).
 #[derive(Debug)]
 pub struct SocketCan {
     socket: CanSocket,
@@ -46,10 +48,10 @@ pub struct SocketCan {
 }
 
 impl SocketCan {
-    /// Opens an interface that is up. Frames that this socket sends are not received by it.
+    /// Opens an interface that is up. The socket does not receive the frames that it sends.
     ///
     /// # Errors
-    /// [`PortError`]: Linux has no CAN sockets, there is no such interface, it is not for CAN or down,
+    /// [`PortError`]: Linux has no CAN sockets; there is no such interface; it is not for CAN, or it is down;
     /// or the user may not open it.
     pub fn open(interface: &str) -> Result<Self, PortError> {
         let address = CanAddr::from_iface(interface).map_err(|error| match errno(&error) {
@@ -66,10 +68,10 @@ impl SocketCan {
             .set_nonblocking(true)
             .and_then(|()| socket.set_recv_own_msgs(false))
             .and_then(|()| socket.set_error_filter(REPORTS))
-            // The kernel makes of this the least that it allows.
+            // The kernel raises this to the least that it allows.
             .and_then(|()| socket.as_raw_socket().set_send_buffer_size(1));
         configured.map_err(|error| PortError::os(interface, error))?;
-        // A socket on an interface that is down opens, and has an error waiting.
+        // A socket on an interface that is down opens, with a pending error.
         match socket.as_raw_socket().take_error() {
             Ok(None) => {}
             Ok(Some(error)) | Err(error) => return Err(explain(interface, error)),
@@ -85,13 +87,13 @@ impl SocketCan {
     /// A clock that waits for this interface.
     ///
     /// # Errors
-    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    /// [`PortError::Os`] if the operating system has no file descriptor left.
     pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::with_backlog(self, self.backlog.clone())
             .map_err(|error| PortError::os(&self.interface, error))
     }
 
-    /// Why the interface fails, which may carry nothing now.
+    /// Returns why the interface fails, and notes that it may carry nothing now.
     fn failed(&mut self, error: io::Error) -> PortError {
         let why = explain(&self.interface, error);
         self.outage.begin(why.clone());
@@ -124,14 +126,14 @@ impl Can for SocketCan {
         self.backlog.set(error == Some(Errno::AGAIN));
         match (sent, error) {
             (Ok(()), _) => Ok(None),
-            // The socket's own buffer is full, or the interface's queue, which others fill as well.
+            // The socket's own buffer is full, or the interface's queue, which other programs fill as well.
             (Err(_), Some(Errno::AGAIN | Errno::NOBUFS)) => Err(nb::Error::WouldBlock),
             (Err(error), _) => Err(self.failed(error).into()),
         }
     }
 
     fn receive(&mut self) -> nb::Result<CanFrame, PortError> {
-        // What found no room is offered again behind this, if anybody wants it yet.
+        // A frame that found no room is offered again after this, if it is still wanted.
         self.backlog.set(false);
         for _ in 0..READS_A_CALL {
             match self.socket.read_frame() {
@@ -167,14 +169,14 @@ fn interfaces() -> Vec<String> {
     names.map(|(name, _)| name.trim().to_owned()).filter(is_can).collect()
 }
 
-/// What a report says about the bus: that it carries frames again, or why it carries none.
+/// What a report says of the bus: that it carries frames again, or why it carries none.
 fn verdict(report: ErrorCause, interface: &str) -> Option<Result<(), PortError>> {
     match report {
         ErrorCause::BusOff => Some(Err(PortError::BusOff(interface.to_owned()))),
         ErrorCause::NoAck | ErrorCause::TransmitTimeout => {
             Some(Err(PortError::NotAcknowledged(interface.to_owned())))
         }
-        // Missing acknowledgements alone bring a controller to this state and no further.
+        // Missing acknowledgements alone bring a controller to this state, and no further.
         ErrorCause::Controller(state) if state.contains(ControllerProblems::TX_PASSIVE) => {
             Some(Err(PortError::NotAcknowledged(interface.to_owned())))
         }
@@ -299,8 +301,8 @@ mod tests {
         can.transmit(&torque).unwrap();
     }
 
-    /// The kernel tells of an interface that was taken down once, to whoever sends or receives first. The other end goes,
-    /// and comes back.
+    /// The kernel tells of an interface that was taken down once, to whoever sends or receives first. The other end
+    /// goes, and comes back.
     #[test]
     fn after_an_error_of_sending_nothing_that_moves_is_sent_until_a_frame_comes() {
         let folder = tempfile::tempdir().unwrap();

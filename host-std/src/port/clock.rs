@@ -10,21 +10,21 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::time::{ClockId, clock_gettime};
 
-/// The time since the machine started, that in which it was suspended included. `std::time::Instant` leaves
-/// that out, so that what was to be sent before would count as fresh.
+/// The time since the machine started, including the time in which it was suspended. `std::time::Instant` leaves
+/// that out, so that a command from before a suspension would count as fresh.
 pub(crate) fn since_boot() -> std::time::Duration {
     // No time is negative here.
     clock_gettime(ClockId::Boottime).try_into().unwrap_or_default()
 }
 
-/// How long a port that has gone is left alone.
+/// How long a wait for a port that has gone takes at least.
 const REST: std::time::Duration = std::time::Duration::from_millis(1);
 
-/// The host's monotonic clock, in microseconds since it was made. It runs on while the machine is suspended.
+/// The host's monotonic clock, in microseconds since this value was made. It runs on while the machine is suspended.
 ///
-/// One that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with
-/// a time-out in nanoseconds: a socket's own receive time-out is rounded to the kernel's ticks, which
-/// makes 4 ms of 1 ms. Such a clock keeps the port open, so drop it with the port.
+/// A clock that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with a time-out in
+/// nanoseconds. (A socket's own receive time-out is rounded to the kernel's ticks, which turns 1 ms into 4 ms.) Such a
+/// clock keeps the port open, so drop it with the port.
 #[derive(Debug)]
 pub struct HostClock {
     /// Since the machine started.
@@ -38,15 +38,15 @@ pub struct HostClock {
 pub struct HostWaker(Arc<OwnedFd>);
 
 impl HostWaker {
-    /// Ends the clock's idling; if it does not idle now, that of the next time.
+    /// Ends the clock's idling. If it does not idle now, its next idling ends at once.
     pub fn wake(&self) {
-        // It fails only when it was woken 2^64 times already.
+        // It fails only after 2^64 calls.
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 }
 
-/// Whether a port has something to send that it could not get rid of. Ports and clocks share it, so
-/// that a clock also wakes up when the port can go on.
+/// Whether a port has something to send for which there was no room. Port and clock share this, so
+/// that the clock also wakes when the port can go on.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Backlog(Arc<AtomicBool>);
 
@@ -80,16 +80,16 @@ impl HostClock {
         Self::with_backlog(port, Backlog::default())
     }
 
-    /// As [`for_port`](Self::for_port), and while there is a backlog also until it can be written.
+    /// As [`for_port`](Self::for_port). While there is a backlog it also idles only until the port can be written.
     pub(super) fn with_backlog(port: &impl AsFd, backlog: Backlog) -> io::Result<Self> {
         let port = port.as_fd().try_clone_to_owned()?;
         Ok(Self { port: Some((port, backlog)), ..Self::new() })
     }
 
-    /// What ends this clock's idling from another thread.
+    /// A handle that ends this clock's idling from another thread.
     ///
     /// # Errors
-    /// What the operating system reports when it has no file descriptor left.
+    /// What the operating system reports if it has no file descriptor left.
     pub fn waker(&mut self) -> io::Result<HostWaker> {
         if let Some(waker) = &self.waker {
             return Ok(HostWaker(Arc::clone(waker)));
@@ -99,7 +99,7 @@ impl HostClock {
         Ok(HostWaker(waker))
     }
 
-    /// Waits for the port and the waker, or just for the time.
+    /// Waits for the port and the waker, as far as there are any, for up to `span`.
     fn wait(&self, span: Duration) {
         let span = std::time::Duration::from(span);
         let Ok(timeout) = Timespec::try_from(span) else { return };
@@ -108,14 +108,14 @@ impl HostClock {
             PollFd::new(port, PollFlags::IN | out)
         });
         // A signal ends the wait early, so that a program soon sees what its handler noted. Any other
-        // error the next use of the port will tell.
+        // error is returned by the next use of the port.
         let Some(waker) = &self.waker else {
             let _ = poll(port.as_mut_slice(), Some(&timeout));
             rest_if_gone(port.as_ref(), span);
             return;
         };
         let woken = PollFd::new(waker, PollFlags::IN);
-        // Twice the same where there is no port.
+        // Without a port the waker stands here twice.
         let mut fds = [woken.clone(), port.unwrap_or(woken)];
         let _ = poll(&mut fds, Some(&timeout));
         if !fds[0].revents().is_empty() {
@@ -125,8 +125,8 @@ impl HostClock {
     }
 }
 
-/// A port that has gone, or whose error nobody has taken, ends each wait for it at once: whoever goes on trying would
-/// do nothing else.
+/// A port that has gone, or that has an error which was not read yet, ends each wait at once. Without a rest a loop
+/// that goes on trying would take the whole processor.
 fn rest_if_gone(port: Option<&PollFd<'_>>, span: std::time::Duration) {
     if port.is_some_and(|port| port.revents().intersects(PollFlags::HUP | PollFlags::ERR)) {
         std::thread::sleep(span.min(REST));

@@ -1,4 +1,4 @@
-//! Waiting until all bytes have left a port, but not for ever.
+//! Waiting until all bytes have left a port, with a time-out.
 
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -7,25 +7,25 @@ use std::time::Duration;
 
 use rustix::io::Errno;
 
-/// A thread that waits until the last byte has left a port: that wait knows no time-out, and never ends behind an
-/// adapter that takes nothing more, if its driver does not throw away what it holds.
+/// A thread that waits until the last byte has left a port. That system call has no time-out: if an adapter takes
+/// nothing more, and its driver does not throw away what it holds, it never returns.
 #[derive(Debug)]
 pub(super) struct Drain<P> {
     ports: SyncSender<P>,
     outcomes: Receiver<Result<(), Errno>>,
-    /// The thread waits, and nobody has heard the outcome.
+    /// The thread waits, or its outcome was not taken yet.
     is_under_way: bool,
 }
 
 impl<P: Send + 'static> Drain<P> {
-    /// One that waits by this function, and has the scheduling of the thread that makes it.
+    /// A thread that waits with this function. It has the scheduling of the thread that calls this.
     pub(super) fn new(wait: impl Fn(&P) -> Result<(), Errno> + Send + 'static) -> io::Result<Self> {
         let (ports, asked) = sync_channel::<P>(1);
         let (answer, outcomes) = sync_channel(1);
         thread::Builder::new().name("myactuator-drain".to_owned()).spawn(move || {
             for port in asked {
                 let outcome = wait(&port);
-                // Whoever hears of it may close the port for good.
+                // After the outcome the caller may close the port for good.
                 drop(port);
                 let _ = answer.send(outcome);
             }
@@ -33,7 +33,7 @@ impl<P: Send + 'static> Drain<P> {
         Ok(Self { ports, outcomes, is_under_way: false })
     }
 
-    /// Whether all has left this port after so long at the most. Otherwise the thread goes on waiting.
+    /// Whether everything has left this port within `longest`. If not, the thread goes on waiting.
     pub(super) fn wait(&mut self, port: P, longest: Duration) -> Result<bool, Errno> {
         if self.is_over() {
             self.is_under_way = self.ports.send(port).is_ok();
@@ -43,7 +43,7 @@ impl<P: Send + 'static> Drain<P> {
         outcome.map(|()| true)
     }
 
-    /// Whether nothing is waited for, as it is after a wait that was given up.
+    /// Whether the thread waits for nothing. After a wait that was given up it may still wait.
     pub(super) fn is_over(&mut self) -> bool {
         self.is_under_way = self.is_under_way && self.outcomes.try_recv().is_err();
         !self.is_under_way

@@ -21,9 +21,9 @@ pub enum PortError {
         told_of_interfaces(there)
     )]
     NoSuchInterface {
-        /// What was taken for its name.
+        /// The name that was given.
         name: String,
-        /// The CAN interfaces that there are.
+        /// The CAN interfaces of this machine.
         there: Vec<String>,
     },
     /// The network interface is not a CAN interface.
@@ -36,25 +36,25 @@ pub enum PortError {
         "the CAN interface \"{0}\" is down: bring it up with 'sudo ip link set {0} up type can bitrate 1000000', a virtual one with 'sudo ip link set {0} up'"
     )]
     InterfaceDown(String),
-    /// The CAN interface has gone, such as an adapter that was pulled out.
+    /// The CAN interface has gone, for example because the adapter was unplugged.
     #[error("the CAN interface \"{0}\" has gone: plug the adapter in again and restart")]
     InterfaceGone(String),
-    /// The controller has left the bus after too many errors.
+    /// The controller has left the bus after too many errors (bus-off).
     #[error(
         "the controller of \"{0}\" has left the bus after too many errors: check wiring, termination and bit rate, then restart it with 'sudo ip link set {0} type can restart'"
     )]
     BusOff(String),
-    /// Nobody on the bus acknowledges frames.
+    /// Nothing on the bus acknowledges frames.
     #[error(
         "nobody acknowledges frames on \"{0}\": check the motors' power, the wiring and the bit rate; until an answer comes nothing is sent that could move a motor"
     )]
     NotAcknowledged(String),
-    /// The SLCAN adapter refuses what it was told.
+    /// The SLCAN adapter refuses a command.
     #[error(
         "the SLCAN adapter at \"{0}\" reports an error: check the CAN wiring, the motors' power and the bit rate; until an answer comes nothing is sent that could move a motor"
     )]
     Refused(String),
-    /// The serial port takes no more bytes.
+    /// The serial port takes no more bytes. What it still held was thrown away.
     #[error(
         "the adapter at \"{0}\" takes no more bytes, and what it had not sent was thrown away: check the bus, or plug the adapter in again"
     )]
@@ -87,7 +87,7 @@ pub enum PortError {
         /// The bit rate in bit/s.
         bit_rate: u32,
     },
-    /// The serial port has gone, such as an adapter that was pulled out.
+    /// The serial port has gone, for example because the adapter was unplugged.
     #[error("the serial port \"{0}\" has gone: plug the adapter in again and restart")]
     PortGone(String),
     /// Anything else that the operating system reports.
@@ -95,7 +95,7 @@ pub enum PortError {
     Os {
         /// The bus.
         bus: String,
-        /// What it reports.
+        /// The error that the operating system reports.
         #[source]
         error: Arc<io::Error>,
     },
@@ -114,7 +114,7 @@ impl PortError {
         Self::Os { bus: bus.to_owned(), error: Arc::new(error) }
     }
 
-    /// Whether the bus itself carries nothing, as opposed to a computer that cannot reach it.
+    /// Whether the bus itself carries nothing, as opposed to a computer that cannot access it.
     pub const fn is_outage(&self) -> bool {
         matches!(
             self,

@@ -1,20 +1,19 @@
-//! How long USB adapters keep what they received before they hand it over.
+//! How long USB adapters keep what they have received before they hand it over.
 //!
-//! Those with FTDI chips collect for 16 ms unless told otherwise, which is longer than a master waits
-//! for a reply. Their driver has a file for it, which root may write; it stays as it was written until
-//! the adapter is pulled out.
+//! By default adapters with FTDI chips collect for 16 ms, which is longer than a master waits for a reply. Their driver
+//! has a file with this time, which root may write. It keeps what was written until the adapter is unplugged.
 
 use std::fmt;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Where the kernel keeps what it knows of USB serial adapters, a folder each.
+/// Where the kernel has a folder for each USB serial adapter.
 const ADAPTERS: &str = "/sys/bus/usb-serial/devices";
 /// The shortest that drivers take, ms.
 const SHORTEST_MS: u64 = 1;
 
-/// A USB serial adapter that keeps what it received for longer than it must. Displayed as a sentence
+/// A USB serial adapter that keeps what it has received for longer than it must. It displays as a sentence
 /// that says what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SlowAdapter {
@@ -23,13 +22,13 @@ pub struct SlowAdapter {
 }
 
 impl SlowAdapter {
-    /// The adapter behind this serial port, if its driver says that it is slow. Opening the port has
-    /// made it fast already if the user may do that.
+    /// The adapter of this serial port, if its driver says that it is slow. If the user has the permission, opening the
+    /// port has already made it fast.
     pub fn at(port: &Path) -> Option<Self> {
         Timer::of(Path::new(ADAPTERS), port)?.too_long()
     }
 
-    /// How long it keeps what it received.
+    /// How long it keeps what it has received.
     pub const fn keeps_for(&self) -> std::time::Duration {
         std::time::Duration::from_millis(self.ms)
     }
@@ -47,7 +46,7 @@ impl fmt::Display for SlowAdapter {
     }
 }
 
-/// Has the adapter behind this serial port hand over what it received as soon as it can, as far as its
+/// Makes the adapter of this serial port hand over what it has received as soon as it can, if its
 /// driver has a timer for that and the user may set it.
 pub(super) fn shorten(port: &Path) {
     if let Some(slow) = SlowAdapter::at(port) {
@@ -60,7 +59,7 @@ pub(super) fn shorten(port: &Path) {
 struct Timer(PathBuf);
 
 impl Timer {
-    /// That of a serial port, which may be a link, as those in `/dev/serial/by-id` are.
+    /// The timer of a serial port. The port may be a link, as those in `/dev/serial/by-id` are.
     fn of(adapters: &Path, port: &Path) -> Option<Self> {
         let device = fs::canonicalize(port).ok()?;
         let timer = adapters.join(device.file_name()?).join("latency_timer");
@@ -72,7 +71,7 @@ impl Timer {
         (ms > SHORTEST_MS).then_some(SlowAdapter { timer: self, ms })
     }
 
-    /// Whoever may not has it as it was.
+    /// Sets the shortest time. Without the permission nothing changes.
     fn shorten(&self) {
         let timer = fs::File::options().write(true).truncate(true).open(&self.0);
         let _ = timer.and_then(|mut timer| write!(timer, "{SHORTEST_MS}"));

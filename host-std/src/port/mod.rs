@@ -1,5 +1,5 @@
-//! Real buses on Linux, for the loops of [`protocol::io`](crate::protocol::io). Knows nothing of the
-//! simulation; [`open`](crate::open) is above both.
+//! Real buses on Linux, for the loops of [`protocol::io`](crate::protocol::io). This module knows nothing of the
+//! simulation; [`open`](crate::open) stands above both.
 //!
 //! | bus | port |
 //! |---|---|
@@ -7,8 +7,8 @@
 //! | USB-CAN adapter that speaks SLCAN | [`Slcan`] |
 //! | RS485 adapter on a serial port | [`Rs485`] |
 //!
-//! None of them blocks, but for [`Rs485`], which waits for up to a second where a port keeps what it is given;
-//! [`HostClock`] waits for them by `ppoll`, and [`HostWaker`] ends that.
+//! Only [`Rs485`] blocks, for up to a second, if a port keeps what it was given. [`HostClock`] waits for a port with
+//! `ppoll`, and [`HostWaker`] ends that wait.
 //!
 //! ```no_run
 //! use myactuator_host_std::port::SocketCan;

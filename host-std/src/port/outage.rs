@@ -7,13 +7,12 @@ use myactuator_protocol_core::wire::can::{self, Received};
 
 use crate::port::PortError;
 
-/// A bus of which it is known that it carries nothing, from when that is reported until a frame
-/// comes or the controller recovers.
+/// Whether a bus is known to carry nothing: from the report of that until a frame comes or the controller
+/// recovers.
 ///
-/// Whatever is handed to a kernel or an adapter meanwhile is kept and sent when the bus is back,
-/// maybe minutes later: an arm that was switched off would move by itself. So only what does no harm
-/// then is let through: reads, stop, shutdown and locking the brake. Their replies, in turn, tell
-/// that the bus is back.
+/// The kernel or the adapter keeps what it is given meanwhile, and sends it when the bus is back, perhaps
+/// minutes later: an arm that was switched off would move on its own. So only what does no harm
+/// then is let through: reads, stop, shutdown and locking the brake. Their replies show that the bus is back.
 #[derive(Debug, Default)]
 pub(super) struct Outage(Option<PortError>);
 
@@ -26,7 +25,7 @@ impl Outage {
         self.0 = None;
     }
 
-    /// Whether an adapter refuses what it is told.
+    /// Whether the outage is an adapter that refuses commands.
     pub(super) const fn is_refusal(&self) -> bool {
         matches!(self.0, Some(PortError::Refused(_)))
     }

@@ -1,4 +1,4 @@
-//! What an SLCAN adapter is still to be told.
+//! What is still to be sent to an SLCAN adapter.
 
 use std::time::Duration;
 
@@ -8,16 +8,16 @@ use crate::text::slcan::AdapterCommand;
 /// A port that takes nothing for so long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 
-/// Behind whatever an adapter has of a line it makes that too long to be any command. Some firmware looks at how a line
-/// begins and not where it ends, and forgets its beginning only where it has no place left: of those that know CAN FD,
-/// behind up to 165 characters.
+/// After any part of a line that an adapter has, this makes the line too long to be a command. Some firmware checks how a
+/// line begins and not where it ends, and drops it only when its buffer is full: with CAN FD, after up to 165
+/// characters.
 const JUNK: [u8; 192] = [b'?'; 192];
 
 /// The rest of a line that the port has not taken yet.
 ///
-/// It never leaves late: a line of which some is left when the port fails, or takes nothing for too long, is
-/// dropped. The adapter may hold all of it but its end, or of an earlier one whose end is thrown away with what the
-/// port holds, so that [`JUNK`] goes before anything else.
+/// It never leaves late: if the port fails, or takes nothing for too long, the rest of a line is dropped. The adapter
+/// may then hold all of that line but its end, or of an earlier line, whose end is thrown away with what the port
+/// holds. So [`JUNK`] goes before anything else.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     rest: Vec<u8>,
@@ -30,7 +30,7 @@ impl Outbox {
         command.encode(&mut self.rest);
     }
 
-    /// Makes nothing of what the adapter may have of a line, whoever began it.
+    /// Invalidates any part of a line that the adapter may have, whichever program began it.
     pub(super) fn put_junk(&mut self) {
         self.rest.extend(JUNK);
         AdapterCommand::Nothing.encode(&mut self.rest);
@@ -40,7 +40,7 @@ impl Outbox {
         self.rest.is_empty()
     }
 
-    /// Hands the port what it has not taken yet; `write` says how much it takes. False if that has become stale
+    /// Hands the port what it has not taken yet; `write` returns how much it takes. False if the rest has become stale
     /// and was dropped.
     pub(super) fn send_on(
         &mut self,
@@ -51,7 +51,7 @@ impl Outbox {
             return Ok(true);
         }
         let blocked_for = self.blocked_since.map(|since| now.saturating_sub(since));
-        // Also where the port would take it now, from a program that was held meanwhile.
+        // Also if the port would take it now, since the program may have been suspended meanwhile.
         if blocked_for.is_some_and(|span| span >= LONGEST_STALL) {
             self.drop_rest();
             return Ok(false);
@@ -72,7 +72,7 @@ impl Outbox {
         Ok(true)
     }
 
-    /// Forgets what the port has not taken.
+    /// Drops what the port has not taken.
     pub(super) fn drop_rest(&mut self) {
         *self = Self::default();
         self.put_junk();

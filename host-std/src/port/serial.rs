@@ -14,28 +14,28 @@ use crate::port::drain::Drain;
 use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
 
-/// How long a port may take no byte, or keep what it has taken. At 1200 bit/s a frame of 13 bytes takes 110 ms.
+/// How long a port may take no bytes, or keep those that it has taken. At 1200 bit/s a frame of 13 bytes takes 110 ms.
 const LONGEST_STALL: Duration = Duration::from_secs(1);
 
-/// A serial port with an RS485 transceiver that switches its direction by itself, as USB adapters do.
-/// Ports of boards whose transceiver hangs on RTS need the kernel's RS485 mode, set in the device tree
+/// A serial port with an RS485 transceiver that switches its direction on its own, as USB adapters do.
+/// A port whose transceiver is switched by RTS needs the kernel's RS485 mode, set in the device tree
 /// (`linux,rs485-enabled-at-boot-time`).
 ///
-/// 8N1, any bit rate that the port can run at, pseudo-terminals included; no other program can open it
+/// It runs 8N1, at any bit rate of the port; a pseudo-terminal will do, too. No other program can open the port
 /// meanwhile. [`flush`](Write::flush) waits until the bytes have left the kernel and the port's own
-/// send register; those that a USB adapter still holds it cannot see.
+/// send register; it cannot see bytes that a USB adapter still holds.
 ///
 /// Neither writing nor flushing waits for longer than a second. What the port still holds then is thrown away, as
 /// far as its driver does that, and nothing more is written before the rest has left. A thread waits for that; it
-/// has the scheduling of the one that opens the port.
+/// has the scheduling of the thread that opens the port.
 ///
-/// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
-/// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
+/// Some USB adapters collect what they receive, for up to 16 ms. They are told not to, if the driver
+/// offers that and the user has the permission; otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
 #[derive(Debug)]
 pub struct Rs485 {
     tty: Tty,
     drain: Drain<OwnedFd>,
-    /// It was said that bytes are there, and none was read since.
+    /// `read_ready` has said that there are bytes, and none was read since.
     is_promised: bool,
 }
 
@@ -43,8 +43,8 @@ impl Rs485 {
     /// Opens the serial port at this path at `bit_rate` bit/s.
     ///
     /// # Errors
-    /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
-    /// program has it open, or it cannot run at this rate.
+    /// [`PortError`]: there is no such port; it is no serial port; the user may not open it; another
+    /// program has it open; or it cannot run at this rate.
     pub fn open(path: impl AsRef<Path>, bit_rate: u32) -> Result<Self, PortError> {
         let tty = Tty::open(path.as_ref(), bit_rate)?;
         let drain = Drain::new(|port: &OwnedFd| retry_on_intr(|| tcdrain(port)));
@@ -55,12 +55,12 @@ impl Rs485 {
     /// A clock that waits for this port.
     ///
     /// # Errors
-    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    /// [`PortError::Os`] if the operating system has no file descriptor left.
     pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::for_port(self).map_err(|error| PortError::os(self.tty.name(), error))
     }
 
-    /// The port does not send: what it holds is stale.
+    /// The port does not send, so what it holds is stale: throws that away.
     fn stalled(&self) -> PortError {
         match self.tty.discard_output() {
             Ok(()) => PortError::Stalled(self.tty.name().to_owned()),
@@ -87,8 +87,8 @@ impl ReadReady for Rs485 {
 }
 
 impl Read for Rs485 {
-    /// Waits until something has come, but not for what [`read_ready`](ReadReady::read_ready) has told of: where that
-    /// is gone another program reads the port, which is an error.
+    /// Waits until something has come. If [`read_ready`](ReadReady::read_ready) has said that there are bytes, and they
+    /// are gone, another program reads the port, which is an error.
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
@@ -107,8 +107,8 @@ impl Read for Rs485 {
 }
 
 impl Write for Rs485 {
-    /// Waits for room, a second at the most; then throws away what the port holds, for a command that
-    /// leaves so late is stale. Not at all while the port keeps what was to be flushed.
+    /// Waits for room, for at most a second. Then it throws away what the port holds, since a command that
+    /// leaves so late is stale. While the port keeps bytes that were to be flushed, it fails at once.
     fn write(&mut self, buf: &[u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
@@ -123,7 +123,7 @@ impl Write for Rs485 {
                 return Ok(written);
             }
             let has_room = self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))?;
-            // Room may come late to a program or a machine that was held meanwhile.
+            // If the program or the machine was suspended meanwhile, the room may come late.
             if !has_room || since_boot().saturating_sub(begun) > LONGEST_STALL {
                 return Err(self.stalled());
             }

@@ -20,38 +20,39 @@ use crate::text::slcan::{AdapterCommand, Answer, Codec, Rate};
 const LINE_RATE: u32 = 115_200;
 /// How long an adapter may take to answer while it is set up. Some never answer.
 const ANSWER_TIME: Duration = Duration::from_millis(100);
-/// An adapter that says nothing for so long has said what it had to say.
+/// After so long a silence no more answers of an adapter are expected.
 const QUIET: Duration = Duration::from_millis(20);
-/// How soon an adapter that refuses what it is told is opened once more.
+/// After how long an adapter that refuses commands is opened once more.
 const REOPEN_AFTER: Duration = Duration::from_millis(100);
-/// Bytes read at once, and how often in one call at the most.
+/// Bytes per read, and the most reads in one call.
 const CHUNK: usize = 256;
 const READS_A_CALL: usize = 16;
 
 /// A CAN bus behind an SLCAN adapter.
 ///
-/// The adapter is one on USB, for which the rate of the serial line means nothing; others have to run
-/// at 115200 bit/s. It is opened here and closed when this is dropped; no other program can open the
-/// port meanwhile.
+/// USB adapters ignore the rate of the serial line; others have to run at 115200 bit/s. The adapter is opened here and
+/// closed when this is dropped. No other program can open the port meanwhile.
 ///
-/// BEL from the adapter counts as a bus that carries nothing: from then until a frame comes,
-/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor; stop the motors then, as with
-/// [`SocketCan`](crate::port::SocketCan). Meanwhile it opens the adapter once more, ten times a second, with what it
-/// sends: one that has restarted by itself takes no stop before. A port that takes nothing for 20 ms is emptied, for what
-/// it holds is stale. What its driver does not give back, and what the adapter itself holds, the beginning of a line
-/// included, may be sent when the bus is back, and many adapters report nothing at all: protect the drives on their own
-/// side, by communication-loss protection (0xB3).
+/// - **The adapter answers BEL:** the bus counts as carrying nothing. From then until a frame comes,
+///   [`transmit`](Can::transmit) returns an error for all that could move a motor; stop the motors then, as with
+///   [`SocketCan`](crate::port::SocketCan). Meanwhile, with what it sends, it
+///   opens the adapter once more, up to ten times a second: an adapter that has restarted accepts no stop before that.
+/// - **The port takes nothing for 20 ms:** it is emptied, since what it holds is stale.
 ///
-/// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
-/// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
+/// What its driver does not give back, and what the adapter itself holds, even the beginning of a line, may be sent when
+/// the bus is back. Many
+/// adapters report nothing at all. So protect the drives on their own side, with communication-loss protection (0xB3).
+///
+/// Some USB adapters collect what they receive, for up to 16 ms. They are told not to, if the driver
+/// offers that and the user has the permission; otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
 #[derive(Debug)]
 pub struct Slcan {
     tty: Tty,
     rate: Rate,
-    /// When it was told to open last.
+    /// When the adapter was last told to open.
     opened: Instant,
     codec: Codec,
-    /// What has arrived and is still to be looked at.
+    /// What has arrived and was not decoded yet.
     unread: VecDeque<u8>,
     unsent: Outbox,
     outage: Outage,
@@ -61,13 +62,13 @@ pub struct Slcan {
 impl Slcan {
     /// Opens the adapter on this serial port and puts it on the bus.
     ///
-    /// Takes up to half a second with adapters that answer nothing. Where another program, which knows no lock,
-    /// talks to the adapter all the time, refusals may be meant for that one and count for nothing, so that a stop
-    /// can go all the same.
+    /// This takes up to half a second with an adapter that answers nothing. If another program that ignores the lock
+    /// talks to the adapter all the time, refusals may be meant for that program. They are ignored, so that a stop
+    /// can still be sent.
     ///
     /// # Errors
-    /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
-    /// program has it open, or the adapter refuses the bit rate or to open.
+    /// [`PortError`]: there is no such port; it is no serial port; the user may not open it; another
+    /// program has it open; or the adapter refuses the bit rate or refuses to open.
     pub fn open(path: impl AsRef<Path>, rate: Rate) -> Result<Self, PortError> {
         let mut slcan = Self {
             tty: Tty::open(path.as_ref(), LINE_RATE)?,
@@ -79,19 +80,19 @@ impl Slcan {
             outage: Outage::default(),
             backlog: Backlog::default(),
         };
-        // Makes nothing of a line that an interrupted program left, which may be all of a move but its end, and closes
-        // what it left open. An adapter refuses the first, and one that is closed already the second.
+        // Invalidates a line that an interrupted program has left, which may be all of a move but its end. Then closes
+        // what that program has left open. An adapter refuses the first; one that is closed already refuses the second.
         slcan.unsent.put_junk();
         slcan.answer(is_outcome)?;
         slcan.set_up(AdapterCommand::Close)?;
-        // Answers to what an earlier program said last may still be on their way.
+        // Answers to the last commands of an earlier program may still be on their way.
         let is_quiet = slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread.clear();
         slcan.codec = Codec::default();
         for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
             let is_refused = slcan.set_up(command)? == Some(Answer::Refused);
-            // What is refused may be another program's, which may have this command's answer, too.
+            // The refusal may be of another program's command, and that program may get this command's answer.
             if is_refused && is_quiet && slcan.answer(|answer| *answer == Answer::Done)?.is_none() {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));
             }
@@ -102,14 +103,14 @@ impl Slcan {
     /// A clock that waits for this adapter.
     ///
     /// # Errors
-    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    /// [`PortError::Os`] if the operating system has no file descriptor left.
     pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::with_backlog(self, self.backlog.clone())
             .map_err(|error| PortError::os(self.tty.name(), error))
     }
 
-    /// An adapter that refuses what it is told may have restarted, and be off the bus. One that is not refuses this, too,
-    /// or does it again.
+    /// An adapter that refuses commands may have restarted, and be off the bus: opens it once more. One that has not
+    /// restarted refuses this, too, or does it again.
     fn reopen_if_refused(&mut self) {
         if self.outage.is_refusal() && self.opened.elapsed() >= REOPEN_AFTER {
             self.opened = Instant::now();
@@ -142,7 +143,7 @@ impl Slcan {
         }
     }
 
-    /// Passes over what arrives, until nothing has for a while. False where there is no end of it: then another
+    /// Ignores what arrives, until nothing has for a while. False if there is no end of it: then another
     /// program talks to the adapter.
     fn read_until_quiet(&mut self) -> Result<bool, PortError> {
         let end = Instant::now() + ANSWER_TIME;
@@ -185,15 +186,15 @@ impl Slcan {
     }
 }
 
-/// Whether an adapter says that it has done what it was told, or not.
+/// Whether an answer says that the adapter has done or refused a command.
 fn is_outcome(answer: &Answer) -> bool {
     matches!(answer, Answer::Done | Answer::Refused)
 }
 
 impl Drop for Slcan {
-    /// Takes the adapter off the bus, as far as it still listens. It answers once it has taken what was sent
-    /// before; what an adapter that does not answer has not taken by then is thrown away, the close with it, so that this
-    /// is sent once more.
+    /// Takes the adapter off the bus, as far as it still listens. It answers once it has taken what was sent before. If
+    /// it does not answer, what it has not taken is thrown away. The close may be part of that, so it is sent once
+    /// more.
     fn drop(&mut self) {
         if self.unsent.is_empty() {
             self.unsent.put(AdapterCommand::Nothing);

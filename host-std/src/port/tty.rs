@@ -14,7 +14,7 @@ use rustix::termios::{
 
 use crate::port::{PortError, latency};
 
-/// A port whose clock makes a rate that is off by more than this part of it cannot run at it.
+/// A port cannot run at a rate if its clock makes one that is off by more than one part in this many.
 const LARGEST_RATE_ERROR: u32 = 40;
 
 #[derive(Debug)]
@@ -33,8 +33,8 @@ impl Tty {
         if !rustix::termios::isatty(&port) {
             return Err(PortError::NotASerialPort(name));
         }
-        // The lock keeps out those that lock as well, root included; exclusive mode keeps out all
-        // others but root.
+        // The lock keeps out programs that lock as well, also those of root. Exclusive mode keeps out all
+        // others except root's.
         rustix::fs::flock(&port, FlockOperation::NonBlockingLockExclusive)
             .and_then(|()| rustix::termios::ioctl_tiocexcl(&port))
             .map_err(failed)?;
@@ -44,8 +44,8 @@ impl Tty {
         Ok(tty)
     }
 
-    /// Sets the mode at once. To wait until what the port holds has left may be for ever; it is of a program that is
-    /// gone, and is thrown away before the mode may let go what flow control has held back.
+    /// Sets the mode at once. Waiting until what the port holds has left may take for ever. That is from a program that
+    /// is gone, and is thrown away before the new mode could release what flow control has held back.
     fn configure(&self, bit_rate: u32) -> Result<(), PortError> {
         let failed = |error: Errno| explain(&self.name, error.into());
         let unable = || PortError::LineRate { port: self.name.clone(), bit_rate };
@@ -54,11 +54,11 @@ impl Tty {
         wanted.make_raw();
         wanted.input_modes = InputModes::IGNBRK | InputModes::IGNPAR;
         wanted.control_modes.remove(ControlModes::CSTOPB | ControlModes::CRTSCTS);
-        // Or the line is hung up without a carrier, which no adapter has.
+        // Otherwise the line hangs up without a carrier, which no adapter has.
         wanted.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
         wanted.set_speed(bit_rate).map_err(|_| unable())?;
         tcsetattr(&self.port, OptionalActions::Now, &wanted).map_err(|_| unable())?;
-        // A driver sets what it can, and says so.
+        // A driver sets what it can, and reports that.
         let set = tcgetattr(&self.port).map_err(failed)?;
         let frame = ControlModes::CSIZE | ControlModes::CSTOPB | ControlModes::PARENB;
         let is_framed = set.control_modes & frame == wanted.control_modes & frame;
@@ -81,7 +81,7 @@ impl Tty {
         }
     }
 
-    /// What has arrived; `None` if nothing has.
+    /// Reads what has arrived; `None` if nothing has.
     pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, PortError> {
         match retry_on_intr(|| rustix::io::read(&self.port, &mut *buffer)) {
             Ok(0) => Err(PortError::PortGone(self.name.clone())),
@@ -91,7 +91,7 @@ impl Tty {
         }
     }
 
-    /// How many of these bytes are taken: none if there is no room.
+    /// Returns how many of these bytes the port takes: none if there is no room.
     pub(super) fn write(&self, bytes: &[u8]) -> Result<usize, PortError> {
         match retry_on_intr(|| rustix::io::write(&self.port, bytes)) {
             Ok(length) => Ok(length),
@@ -100,7 +100,7 @@ impl Tty {
         }
     }
 
-    /// Waits until one of these is so, or the port fails; false after the time-out. `None` waits for
+    /// Waits until one of these flags is set, or the port fails; false after the time-out. `None` waits for
     /// ever.
     pub(super) fn wait(
         &self,
@@ -127,11 +127,12 @@ impl Tty {
     }
 }
 
-/// Exclusive mode outlives the program where the terminal does: a pseudo-terminal, or one that somebody else has
-/// open. The lock lives as long as any copy of the file descriptor: that of a clock, or of a wait that was given up.
+/// Releases the port. Exclusive mode outlives the program if the terminal does: a pseudo-terminal, or one that another
+/// program has open. The lock lives as long as any copy of the file descriptor: that of a clock, or of a wait that was
+/// given up.
 impl Drop for Tty {
     fn drop(&mut self) {
-        // A port that has gone is nobody's.
+        // For a port that has gone there is nothing to release.
         let _ = rustix::termios::ioctl_tiocnxcl(&self.port);
         let _ = rustix::fs::flock(&self.port, FlockOperation::Unlock);
     }
