@@ -5,12 +5,12 @@ use std::str::FromStr;
 use crate::Unexpected;
 use crate::sim::SimulatedDrive;
 
-/// What a motor must come to: a quantity, `>` or `<`, and a number.
+/// What a motor must reach: a quantity, `>` or `<`, and a number.
 ///
 /// | quantity | unit | what it is |
 /// |---|---|---|
 /// | `angle` | degrees | the true angle of the output shaft, turns included |
-/// | `speed` | degrees per second | its true speed, negative downwards |
+/// | `speed` | degrees per second | its true speed, negative for a falling angle |
 /// | `current` | A | the torque current |
 /// | `temperature` | °C | of the winding |
 /// | `voltage` | V | at the drive's input |
@@ -18,13 +18,13 @@ use crate::sim::SimulatedDrive;
 pub struct Condition {
     /// What is compared.
     pub quantity: ConditionQuantity,
-    /// Whether it must be above the threshold, or else below it.
+    /// Whether the quantity must be above the threshold, or below it.
     pub above: bool,
-    /// In the quantity's unit.
+    /// The threshold, in the quantity's unit.
     pub threshold: f64,
 }
 
-/// What a condition can be on.
+/// The quantity that a condition compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConditionQuantity {
     /// `angle`, degrees.

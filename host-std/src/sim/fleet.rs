@@ -30,16 +30,16 @@ use setup::{MemoryFiles, Surroundings};
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
 
-/// The model of motors that nobody gave another.
+/// The model of motors that were given no other.
 const USUAL_MODEL: &str = "RMD-X6-P20-60";
 
 /// Why drives cannot be simulated as asked.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// A model's figures make no motor, or a load or a start angle cannot be.
+    /// The figures of a model make no motor, or a load or a start angle is impossible.
     #[error("{0}")]
     Model(#[from] ParameterError),
-    /// The same of a motor whose shaft a former run has left where its load does not let it be.
+    /// A former run has left the shaft of a motor where its load does not allow it.
     #[error(
         "motor {motor}, which the run before has left at {angle_deg} deg: {error}; take another memory folder \
          or another load"
@@ -49,15 +49,15 @@ pub enum FleetError {
         motor: MotorId,
         /// Where its shaft was left, degrees.
         angle_deg: f64,
-        /// What cannot be.
+        /// What is impossible.
         error: ParameterError,
     },
-    /// A motor was set up, or is to have a fault, that is not there.
+    /// A motor was set up, or is to have a fault, that the fleet does not have.
     #[error("there is no motor {motor}: the fleet's motors are {motors}")]
     NoSuchMotor {
-        /// The id that none has.
+        /// The id that no motor has.
         motor: MotorId,
-        /// The ids that there are.
+        /// The fleet's ids.
         motors: MotorSet,
     },
     /// The file of a drive's memory cannot be read.
@@ -65,15 +65,15 @@ pub enum FleetError {
     Memory(#[from] StoreError),
 }
 
-/// What is to be simulated. Build it up, then put it on a bus.
+/// The drives that are to be simulated. Build a fleet up, then put it on a bus.
 ///
-/// What is said of motors is said of all that there are, or with [`motor`](Self::motor) of one; what is said
-/// last counts.
+/// A setting of motors applies to all motors of the fleet, or with [`motor`](Self::motor) to one. The last setting
+/// counts.
 #[derive(Clone, Debug)]
 pub struct Fleet {
     name: Option<String>,
     motors: Vec<MotorSetup>,
-    /// One that was set up, and the motors there were, none of which it is.
+    /// A motor that was set up but is not in the fleet, and the fleet's motors then.
     missing: Option<(MotorId, MotorSet)>,
     faults: Vec<PlannedFault>,
     supply: Option<Supply>,
@@ -82,12 +82,12 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// So many motors of the usual kind, with ids from 1; at most 32.
+    /// A fleet of `count` motors of the [usual kind](MotorSetup::new), with ids from 1; at most 32.
     pub fn new(count: u8) -> Self {
         Self::of(MotorId::all().take(count.into()).map(MotorSetup::new))
     }
 
-    /// These motors. Several may have the same id, as they come from the factory with 1.
+    /// A fleet of these motors. Several may have the same id, as motors from the factory all have 1.
     pub fn of(motors: impl IntoIterator<Item = MotorSetup>) -> Self {
         let motors = motors.into_iter().collect();
         Self {
@@ -101,7 +101,7 @@ impl Fleet {
         }
     }
 
-    /// On a bus of this name; else of "can" or "rs485".
+    /// Sets the name of the bus. The default is "can" or "rs485".
     #[must_use]
     pub fn name(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());
@@ -139,107 +139,108 @@ impl Fleet {
         self
     }
 
-    /// All with this id, as motors come from the factory with 1, instead of one after the other.
+    /// Gives all motors this id, as motors from the factory all have 1. The default is ids from 1.
     #[must_use]
     pub fn all_with_id(self, id: MotorId) -> Self {
         self.all(|motor| motor.id = id)
     }
 
-    /// With motors of this model; else of the RMD-X6-P20-60, whose line V4.3 is made for.
+    /// Sets the model. The default is the RMD-X6-P20-60; V4.3 is made for its line.
     #[must_use]
     pub fn model(self, model: MotorParameters) -> Self {
         self.all(|motor| motor.model = Some(model.clone()))
     }
 
-    /// With drives that speak this revision of the protocol; else their model's. One whose motion mode has
-    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
+    /// Sets the revision of the protocol. The default is the model's. A revision whose motion mode has
+    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges), too.
     #[must_use]
     pub fn firmware(self, firmware: Firmware) -> Self {
         self.all(|motor| motor.firmware = Some(firmware))
     }
 
-    /// With these scales of motion mode; else those of the model or of the firmware.
+    /// Sets the scales of motion mode. The default is those of the model or of the firmware.
     #[must_use]
     pub fn motion_ranges(self, ranges: MotionRanges) -> Self {
         self.all(|motor| motor.motion_ranges = Some(ranges))
     }
 
-    /// With drives that report this version date (0xB2); else the one that is known of their firmware.
+    /// Sets the version date that drives report (0xB2). The default is the one that is known for their firmware.
     #[must_use]
     pub fn version_date(self, date: VersionDate) -> Self {
         self.all(|motor| motor.version_date = Some(date))
     }
 
-    /// With drives that behave so beside the manual.
+    /// Makes the drives deviate from the manual in these ways.
     #[must_use]
     pub fn quirks(self, quirks: Quirks) -> Self {
         self.all(|motor| motor.quirks = quirks)
     }
 
-    /// With drives that answer after between `min` and `max`; else after 0.7 to 0.9 ms.
+    /// Makes the drives answer after `min` to `max`. The default is 0.7 to 0.9 ms.
     #[must_use]
     pub fn response(self, min: Duration, max: Duration) -> Self {
         self.all(|motor| motor.response = (min, max))
     }
 
-    /// With this seed for everything that happens by chance. The same seed gives the same run.
+    /// Sets the seed of everything that happens by chance. The same seed gives the same run.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// With memories that outlive the process, in this folder: a file each of a drive's settings and of where
-    /// its shaft is, named by the id that it starts with.
+    /// Keeps the memories of the drives in this folder, so that they outlive the process. For each drive there is a
+    /// file with its settings and a file with the place of its shaft, named by the id that it starts with.
     #[must_use]
     pub fn memory_folder(mut self, folder: impl Into<PathBuf>) -> Self {
         self.memory_folder = Some(folder.into());
         self
     }
 
-    /// With brakes, locked at first.
+    /// Sets whether the motors have brakes, which are locked at first.
     #[must_use]
     pub fn brakes(self, has_brake: bool) -> Self {
         self.all(|motor| motor.has_brake = has_brake)
     }
 
-    /// With this load on each shaft; else with bare ones. A load can be changed later:
+    /// Puts this load on each shaft. The default is a bare shaft. To change a load later call
     /// [`SimulatedMotor::set_load`] through [`DriveHandle::with`].
     #[must_use]
     pub fn load(self, load: Load) -> Self {
         self.all(|motor| motor.load = load)
     }
 
-    /// With this load on the shaft of the motor with this id.
+    /// Puts this load on the shaft of the motor with this id.
     #[must_use]
     pub fn load_of(self, motor: MotorId, load: Load) -> Self {
         self.motor(motor, |motor| motor.load = load)
     }
 
-    /// With shafts that are at this angle at the start, degrees, turns included, up to ±10⁹; else at 0. Where
-    /// a [`memory_folder`](Self::memory_folder) knows where a shaft was left, it is there instead.
+    /// Sets the angle of the shafts at the start, degrees, turns included, up to ±10⁹. The default is 0. If a
+    /// [`memory_folder`](Self::memory_folder) knows where a shaft was left, the shaft is there instead.
     #[must_use]
     pub fn start_angle_deg(self, angle_deg: f64) -> Self {
         self.all(|motor| motor.start_angle_deg = angle_deg)
     }
 
-    /// All draw from this supply: what one draws all see sag. Its capacitor and brake resistor are where the motors'
-    /// cables meet; each motor keeps the resistance of its own cable, and its capacitor. Else each has a [supply](SimulatedMotor::supply) of its own.
+    /// Makes all motors share this supply: the voltage sags for all when one draws current. Its capacitor and brake
+    /// resistor are where the motors' cables meet; each motor keeps its own capacitor, and the resistance of its own
+    /// cable. By default each motor has a [supply](SimulatedMotor::supply) of its own.
     #[must_use]
     pub fn supply(mut self, supply: Supply) -> Self {
         self.supply = Some(supply);
         self
     }
 
-    /// With these faults; else with none. Their times count from when the drives are put on a bus, by its clock,
-    /// virtual or real. More can be planned later: [`BusFleet::plan`].
+    /// Plans these faults. The default is none. Their times count from when the drives are put on a bus, by its clock,
+    /// virtual or real. To plan more later call [`BusFleet::plan`].
     #[must_use]
     pub fn faults(mut self, faults: impl IntoIterator<Item = PlannedFault>) -> Self {
         self.faults = faults.into_iter().collect();
         self
     }
 
-    /// What is planned to go wrong.
+    /// The planned faults.
     pub fn planned_faults(&self) -> &[PlannedFault] {
         &self.faults
     }
@@ -247,8 +248,8 @@ impl Fleet {
     /// Puts the drives on a CAN bus in virtual time.
     ///
     /// # Errors
-    /// [`FleetError`]: a model's figures make no motor, a load or a start angle cannot be, a motor was set up or
-    /// is to have a fault that is not there, or a memory file cannot be read.
+    /// [`FleetError`]: the figures of a model make no motor; a load or a start angle is impossible; a motor was set up,
+    /// or is to have a fault, that the fleet does not have; or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
         let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
@@ -289,7 +290,7 @@ impl Fleet {
                 bus,
                 bit_rate,
                 usual_model: &usual_model,
-                // A stream of chance of its own for each drive.
+                // Each drive has its own stream of random numbers.
                 seed: self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(place),
                 files: self
                     .memory_folder
@@ -305,7 +306,7 @@ impl Fleet {
             Bus::Rs485 => "rs485",
         };
         let name = self.name.clone().unwrap_or_else(|| kind.to_owned());
-        // A master decodes all by one firmware.
+        // A master decodes all replies by one firmware.
         let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
         let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
         let mechanics_failure = Default::default();

@@ -2,19 +2,18 @@
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
 //! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too. A [`Robot`] is several such
-//! buses from one file. What is to go wrong, and when, is a [`PlannedFault`]. A test that no load ever falls, whatever
-//! goes wrong, has [`BusFleet::watch`].
+//! buses from one file. A [`PlannedFault`] says what is to go wrong, and when. With [`BusFleet::watch`] a test checks
+//! that no load falls, whatever goes wrong.
 //!
 //! | module | for |
 //! |---|---|
 //! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
 //! | [`plant`] | the physics behind a simulated drive |
-//! | [`mechanics`] | what moves the shafts, where motors do not by themselves: coupled joints, physics of your own |
-//! | [`memory`] | what a simulated drive remembers over power-off |
+//! | [`mechanics`] | other movers of the shafts than the motors alone: coupled joints, physics of your own |
+//! | [`memory`] | what a simulated drive remembers while it is off |
 //!
-//! Knows nothing of real buses: what offers simulated drives to other programs is
-//! [`serve`](crate::serve), and what makes them answer to an address such as `sim:4` is
-//! [`open`](crate::open).
+//! This module knows nothing of real buses. [`serve`](crate::serve) offers simulated drives to other programs, and
+//! [`open`](crate::open) makes them answer to an address such as `sim:4`.
 //!
 //! ```
 //! use myactuator_host_std::sim::Fleet;
@@ -32,7 +31,7 @@
 //! # Tasks
 //! Async masters ([`CanFleet::async_master`], [`LineFleet::async_master`]) run in
 //! [`BusFleet::block_on`], as they do under embassy. Time stands still while any task has something to
-//! do, and then goes on to the next thing that one waits for:
+//! do, and then goes on to the next event that a task waits for:
 //!
 //! ```
 //! use embassy_futures::join::join;
@@ -55,9 +54,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A blocking master waits on its own bus alone, and time stands still on the others. Who steps several by hand brings
-//! them to one time after each round: `hand.world.run_until(arm.world.now())`. What works on two buses at once is
-//! two tasks.
+//! A blocking master waits only on its own bus; time stands still on the others. To step several buses by hand, bring
+//! them to the same time after each round: `hand.world.run_until(arm.world.now())`. To work on two buses at the same
+//! time, use two tasks.
 
 pub mod bus;
 mod condition;

@@ -12,41 +12,43 @@ use crate::sim::bus::faults::{Direction, FaultPlan};
 
 /// What a time looks like.
 const TIME: &str = "a time with its unit such as 500us, 2ms or 1.5s";
-/// How likely a fault is where nothing is said.
+/// How likely a fault is by default.
 const USUAL_CHANCE: f32 = 0.01;
-/// The shortest of them: no frame is over sooner on a CAN bus at 1 Mbit/s, and drives that babble without a pause
+/// The shortest pause: no frame is over sooner on a CAN bus at 1 Mbit/s, and drives that babble without a pause
 /// take all of a computer's time.
 const SHORTEST_BABBLE: Duration = Duration::from_micros(47);
-/// The longest delay: what is late is kept, and of a busy bus that is much.
+/// The longest delay: late frames are kept, and on a busy bus these are many.
 const LONGEST_DELAY: Duration = Duration::from_secs(10);
-/// The pause between two frames of a babbling drive where nothing is said.
+/// The pause between two frames of a babbling drive by default.
 const USUAL_BABBLE: Duration = Duration::from_millis(10);
 
-/// Something that goes wrong, with whom, and when: `KIND[=VALUE][@WHERE][?CONDITION][+TIME]`.
+/// Something that goes wrong, where, and when: `KIND[=VALUE][@WHERE][?CONDITION][+TIME]`.
 ///
-/// | kind | value, and what it is without | what happens |
+/// | kind | value, and its default | what happens |
 /// |---|---|---|
 /// | `lose` | chance, 0.01 | a frame does not arrive |
 /// | `corrupt` | chance, 0.01 | a bit is disturbed: on CAN an error frame and a repetition, on RS485 a wrong bit |
-/// | `undetected` | share, 0.01 | so many of the corrupted CAN frames pass the CRC with a wrong bit |
+/// | `undetected` | share, 0.01 | this share of the corrupted CAN frames passes the CRC with a wrong bit |
 /// | `duplicate` | chance, 0.01 | a frame arrives twice |
 /// | `delay` | chance, `0.1:2ms` or `0.1:1ms..5ms`, 0.01:1ms..5ms | a frame arrives late, by 10s at most |
-/// | `reorder` | chance, 0.01 | a frame arrives behind the next one |
+/// | `reorder` | chance, 0.01 | a frame arrives after the next one |
 /// | `babble` | pause, 47us at least, 10ms | a drive sends random frames |
-/// | `slow` | time | all that a drive sends comes that much later |
+/// | `slow` | time | everything that a drive sends comes so much later |
 /// | `cut` | | a drive's wire is cut |
 /// | `mend` | | ends `cut`, `slow` and `babble` |
 /// | `reset` | | a drive's power is cycled |
 /// | an error's name, such as `stall` | | a drive has this error |
-/// | `clear` | | takes the causes of such errors away |
+/// | `clear` | | removes the causes of such errors |
 ///
-/// `@WHERE` is a motor's id, else all are struck. Faults by chance may have a direction instead or
-/// as well, `@to-drives`, `@from-drives` or `@2,from-drives`, else they strike both ways. `+TIME`
-/// counts from when the drives were put on their bus ([`Fleet::faults`](super::Fleet::faults)) or from when it
-/// is planned ([`BusFleet::plan`](super::BusFleet::plan)), by the bus's clock. Times are numbers with `us`, `ms`
-/// or `s`. With a [`Condition`] on the motor it names, it begins as soon as that is met, but not before its
-/// time: `cut@1?angle>90`. Each drive with that id, on each bus that is meant, is struck once, when it meets the
-/// condition itself.
+/// - `@WHERE` is the id of a motor; without it the fault strikes all motors. A fault by chance may have a direction
+///   instead or as well, `@to-drives`, `@from-drives` or `@2,from-drives`; without it the fault strikes both
+///   directions.
+/// - `?CONDITION` is a [`Condition`] on the named motor, as in `cut@1?angle>90`. The fault begins as soon as it is met,
+///   but not before its time. Each drive with that id, on each bus that is meant, is struck once, when that drive meets
+///   the condition.
+/// - `+TIME` counts from when the drives were put on their bus ([`Fleet::faults`](super::Fleet::faults)), or from when
+///   the fault is planned ([`BusFleet::plan`](super::BusFleet::plan)), by the bus's clock. Times are numbers with `us`,
+///   `ms` or `s`.
 ///
 /// ```
 /// use myactuator_host_std::sim::PlannedFault;
@@ -63,32 +65,33 @@ pub struct PlannedFault {
     pub kind: FaultKind,
     /// The motor that it strikes; `None` for all.
     pub motor: Option<MotorId>,
-    /// The way of the frames that it strikes; `None` for both. Faults by chance only.
+    /// The direction of the frames that it strikes; `None` for both. Only for faults by chance.
     pub direction: Option<Direction>,
-    /// When it begins, after the start. The order of what begins at the same time is that in which it was planned.
+    /// When it begins, after the start. Faults that begin at the same time do so in the order in which they were
+    /// planned.
     pub after: Duration,
-    /// What the motor must come to before it begins, looked at every millisecond from then on.
+    /// What the motor must reach before the fault begins, checked every millisecond from `after` on.
     pub condition: Option<Condition>,
 }
 
-/// What can be planned to go wrong.
+/// The kinds of faults that can be planned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
     /// Frames are struck by chance from now on.
     Chance(Chance),
     /// A drive sends random frames with this pause between them.
     Babble(Duration),
-    /// What a drive sends comes that much later.
+    /// What a drive sends comes so much later.
     Slow(Duration),
     /// A drive's wire is cut.
     Cut,
-    /// A drive's wire is whole, and it is as fast and as silent as ever.
+    /// A drive's wire is whole again, and the drive neither slow nor babbling.
     Mend,
     /// A drive's power is cycled.
     Reset,
     /// A drive has this error.
     Error(ErrorFlags),
-    /// The causes of errors raised by hand are gone.
+    /// The causes of errors that were raised by faults are gone.
     Clear,
 }
 
@@ -107,9 +110,9 @@ pub enum Chance {
     Delay {
         /// How likely it is.
         chance: f32,
-        /// The least that a frame is late.
+        /// The shortest delay of a frame.
         min: Duration,
-        /// The most that a frame is late.
+        /// The longest delay of a frame.
         max: Duration,
     },
     /// [`FaultPlan::reorder`].
@@ -173,7 +176,7 @@ impl FromStr for PlannedFault {
     }
 }
 
-/// What a fault can be.
+/// The names of all kinds.
 fn kinds() -> String {
     let errors: Vec<&str> = ErrorFlags::NAMED.iter().filter_map(|error| error.name()).collect();
     format!(
@@ -245,10 +248,10 @@ fn chance(text: &str) -> Result<f32, Unexpected> {
     chance.ok_or_else(|| Unexpected::new("a chance from 0 to 1 such as 0.01", text))
 }
 
-/// A time with its unit, such as `500us`, `2ms` or `1.5s`, as in faults.
+/// Parses a time with its unit, such as `500us`, `2ms` or `1.5s`, as in faults.
 ///
 /// # Errors
-/// [`Unexpected`]: also beyond a year.
+/// [`Unexpected`], also for more than a year.
 pub fn parse_time(text: &str) -> Result<Duration, Unexpected> {
     /// The longest that makes sense, in microseconds: a year.
     const LONGEST_US: f64 = 365.0 * 86_400.0 * 1e6;

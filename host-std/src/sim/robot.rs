@@ -17,12 +17,12 @@ use super::mechanics::Remote;
 use super::{BusFleet, CanFleet, Fleet, FleetError, LineFleet};
 use crate::BusKind;
 
-/// A process that does not answer for so long is taken for dead.
+/// A process that does not answer for so long is assumed dead.
 const MECHANICS_PATIENCE: std::time::Duration = std::time::Duration::from_secs(5);
-/// How likely an adapter with noise hears a byte that nobody sent, each time it switches.
+/// How likely an adapter with noise hears a byte that was never sent, each time it switches.
 const ECHO_NOISE: f32 = 0.1;
 
-/// Several buses with their motors, as one TOML file has them.
+/// Several buses with their motors, from one TOML file.
 ///
 /// ```
 /// use myactuator_host_std::protocol::MotorId;
@@ -67,7 +67,7 @@ const ECHO_NOISE: f32 = 0.1;
 ///
 /// | key | what it is | without it |
 /// |---|---|---|
-/// | `seed` | where all chance comes from: a whole number | 1 |
+/// | `seed` | the seed of everything that happens by chance: a whole number | 1 |
 /// | `[[bus]]` | a bus; at least one | |
 ///
 /// A `[[bus]]`:
@@ -77,33 +77,33 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `name` | letters, digits, `-` and `_`; no two buses have the same | an error |
 /// | `kind` | `"can"` or `"rs485"` | an error |
 /// | `bit_rate` | bit/s: 10 000 to 1 000 000 on CAN, 1 200 to 12 000 000 on RS485 | an error |
-/// | `adapter` | of whoever serves an RS485 line to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
-/// | `bursts_ms` | how often whoever serves the bus to other programs hands over what is heard, ms, as USB adapters do: 16 is usual | at once |
+/// | `adapter` | the adapter of an RS485 line that is served to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
+/// | `bursts_ms` | how often the adapter of a bus that is served to other programs hands over what it hears, ms, as USB adapters do: 16 is usual | at once |
 /// | `mechanics` | what moves the shafts of this bus in place of the motors and their loads: `{ socket = "…", period_us = 500 }`, a Unix socket where a process [listens](super::mechanics), and how often it is asked, 100 to 100 000 µs | nothing |
-/// | `supply` | what all its motors draw from, a table with the fields of [`Supply`](super::plant::Supply): `{ voltage_v = 48, resistance_ohm = 0.1, feedback_resistance_ohm = 20, capacitance_f = 0.01 }`; see [`Fleet::supply`] | a battery each, of the model's voltage |
+/// | `supply` | the supply that all its motors share, a table with the fields of [`Supply`](super::plant::Supply): `{ voltage_v = 48, resistance_ohm = 0.1, feedback_resistance_ohm = 20, capacitance_f = 0.01 }`; see [`Fleet::supply`] | a battery for each, of the model's voltage |
 /// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
-/// | `faults` | what goes wrong with its motors, each as in [`PlannedFault`](super::PlannedFault); times count from when they are put on the bus, in simulated time | nothing |
+/// | `faults` | what goes wrong with its motors, each as in [`PlannedFault`](super::PlannedFault); times count from when the motors are put on the bus, in simulated time | nothing |
 /// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |
-/// | `[bus.defaults]` | what its motors are where they do not say: all keys of a motor but its id | |
-/// | `[[bus.motor]]` | a motor, or several that are equal; at least one | |
+/// | `[bus.defaults]` | the defaults of its motors: all keys of a motor except its id | |
+/// | `[[bus.motor]]` | a motor, or several equal ones; at least one | |
 ///
-/// A `[[bus.motor]]`, whose keys but the first two may also stand in `[bus.defaults]`:
+/// A `[[bus.motor]]`; all keys except the first two may also stand in `[bus.defaults]`:
 ///
 /// | key | what it is | without it |
 /// |---|---|---|
 /// | `id` | 1 to 32 | `ids` |
-/// | `ids` | of several equal ones: `"1-6"` or `[1, 2, 5]` | `id` |
-/// | `model` | a name such as `"RMD-X8-P20-120"` or `"X8-120"`, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X6-P20-60"` |
+/// | `ids` | the ids of several equal motors: `"1-6"` or `[1, 2, 5]` | `id` |
+/// | `model` | a name such as `"RMD-X8-P20-120"` or `"X8-120"`, or a file that ends in `.toml`, searched for beside the robot's file | `"RMD-X6-P20-60"` |
 /// | `firmware` | `"v4.3"` or `"v4.4"` | its model's |
 /// | `motion` | the scales of motion mode, a table as in files of models | the model's or the firmware's |
-/// | `version_date` | what 0xB2 tells: a whole number | the firmware's |
-/// | `quirks` | a list of names as of [`quirk_names`](super::quirk_names) | none |
+/// | `version_date` | what 0xB2 returns: a whole number | the firmware's |
+/// | `quirks` | a list of names of [`quirk_names`](super::quirk_names) | none |
 /// | `response_ms` | the shortest and the longest time after which it answers, ms | `[0.7, 0.9]` |
 /// | `brake` | whether it has one | `false` |
 /// | `load` | a table with the fields of [`Load`](super::plant::Load) | a bare shaft |
-/// | `start_angle_deg` | where its shaft is at the start, degrees, turns included; not far beyond an end stop of its load | 0 |
+/// | `start_angle_deg` | the angle of its shaft at the start, degrees, turns included; not far beyond an end stop of its load | 0 |
 ///
-/// A key of a motor takes the place of the same key of the defaults, a table as a whole. Keys that are not
+/// A key of a motor replaces the same key of the defaults, a table as a whole. Keys that are not
 /// listed here are errors.
 #[derive(Clone, Debug)]
 pub struct Robot {
@@ -114,18 +114,18 @@ pub struct Robot {
 /// A bus of a [`Robot`].
 #[derive(Clone, Debug)]
 pub struct RobotBus {
-    /// Its motors, and what goes wrong with them. Other settings, such as a
-    /// [memory folder](Fleet::memory_folder), can be given until they are put on a bus.
+    /// Its motors, and their planned faults. Other settings, such as a
+    /// [memory folder](Fleet::memory_folder), can be added before the motors are put on a bus.
     pub fleet: Fleet,
-    /// What it is.
+    /// Which of the two buses it is.
     pub kind: BusKind,
     /// Bits per second.
     pub bit_rate: u32,
-    /// How programs outside reach an RS485 line.
+    /// The adapter by which other programs use an RS485 line.
     pub adapter: Adapter,
-    /// How often adapters hand over to programs outside what they hear; zero for at once.
+    /// How often adapters hand over to other programs what they hear; zero for at once.
     pub bursts: Duration,
-    /// The process that moves the shafts, where the motors do not by themselves.
+    /// The process that moves the shafts in place of the motors, if there is one.
     pub mechanics: Option<MechanicsProcess>,
     /// The CAN interface on which to serve a CAN bus as well.
     pub interface: Option<String>,
@@ -140,16 +140,16 @@ pub struct MechanicsProcess {
     pub period: Duration,
 }
 
-/// What an RS485 adapter does beside its work.
+/// The side effects of an RS485 adapter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Adapter {
-    /// Nothing.
+    /// None.
     #[default]
     Plain,
     /// It hands back what is sent.
     Echo,
-    /// It does so, and at every tenth switch of direction it hears a random byte beside.
+    /// It hands back what is sent, and in one of ten switches of direction, by chance, it also hears a random byte.
     EchoNoise,
 }
 
@@ -164,7 +164,7 @@ impl Adapter {
     }
 }
 
-/// Why there is no such robot.
+/// Why a robot cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotError {
     /// The file cannot be read.
@@ -190,7 +190,7 @@ pub enum RobotError {
     NoSuchBus {
         /// The name.
         name: String,
-        /// Those there are.
+        /// The names of the buses.
         buses: Vec<String>,
     },
     /// The bus is of the other kind.
@@ -198,7 +198,7 @@ pub enum RobotError {
     OtherKind {
         /// The bus.
         name: String,
-        /// What it is.
+        /// Its kind.
         kind: BusKind,
     },
     /// The process that moves its shafts cannot be reached.
@@ -233,7 +233,7 @@ fn of(file: Option<&Path>) -> String {
 }
 
 impl Robot {
-    /// The robot of this text. Files that it names are looked for in `folder`.
+    /// Makes the robot of this text. Files that it names are searched for in `folder`.
     ///
     /// # Errors
     /// [`RobotError::Wrong`]: the line, what was expected, and what was found.
@@ -242,7 +242,7 @@ impl Robot {
         read::robot(text, folder.as_ref()).map_err(wrong)
     }
 
-    /// The robot of this file. Files that it names are looked for beside it.
+    /// Makes the robot of this file. Files that it names are searched for beside it.
     ///
     /// # Errors
     /// [`RobotError::Unreadable`], or [`RobotError::Wrong`] as [`from_toml`](Self::from_toml).
@@ -255,8 +255,8 @@ impl Robot {
         read::robot(&text, folder).map_err(wrong)
     }
 
-    /// With this seed for everything that happens by chance, instead of the file's. The same seed gives the same
-    /// run; two buses of a robot have different chance.
+    /// Replaces the file's seed of everything that happens by chance. The same seed gives the same
+    /// run; each bus of a robot has its own random numbers.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         for (bus, place) in self.buses.iter_mut().zip(0_u64..) {
@@ -268,7 +268,7 @@ impl Robot {
     /// The bus of this name.
     ///
     /// # Errors
-    /// [`RobotError::NoSuchBus`], which lists those there are.
+    /// [`RobotError::NoSuchBus`], which lists the buses.
     pub fn bus(&self, name: &str) -> Result<&RobotBus, RobotError> {
         self.buses.iter().find(|bus| bus.name() == name).ok_or_else(|| RobotError::NoSuchBus {
             name: name.to_owned(),
@@ -276,8 +276,8 @@ impl Robot {
         })
     }
 
-    /// The motors of the CAN bus of this name on that bus, at the file's bit rate, in virtual time. Each call makes
-    /// new ones.
+    /// Puts the motors of the CAN bus of this name on that bus, at the file's bit rate, in virtual time. Each call
+    /// makes new motors.
     ///
     /// # Errors
     /// [`RobotError::NoSuchBus`], or as [`RobotBus::on_can`].
@@ -285,8 +285,8 @@ impl Robot {
         self.bus(name)?.on_can()
     }
 
-    /// The motors of the RS485 line of this name on that line, at the file's bit rate, in virtual time. Each call
-    /// makes new ones.
+    /// Puts the motors of the RS485 line of this name on that line, at the file's bit rate, in virtual time. Each call
+    /// makes new motors.
     ///
     /// # Errors
     /// [`RobotError::NoSuchBus`], or as [`RobotBus::on_rs485`].
@@ -296,12 +296,12 @@ impl Robot {
 }
 
 impl RobotBus {
-    /// What it is called: the name of its [fleet](Self::fleet).
+    /// Its name, which is that of its [fleet](Self::fleet).
     pub fn name(&self) -> &str {
         self.fleet.bus_name().unwrap_or(self.kind.name())
     }
 
-    /// Its motors on a CAN bus, at its bit rate, in virtual time.
+    /// Puts its motors on a CAN bus, at its bit rate, in virtual time.
     ///
     /// # Errors
     /// [`RobotError::OtherKind`], [`RobotError::Fleet`] or [`RobotError::NoMechanics`].
@@ -311,7 +311,7 @@ impl RobotBus {
         self.put_into_mechanics(fleet)
     }
 
-    /// Its motors on an RS485 line, at its bit rate, in virtual time.
+    /// Puts its motors on an RS485 line, at its bit rate, in virtual time.
     ///
     /// # Errors
     /// As [`on_can`](Self::on_can).
@@ -321,7 +321,7 @@ impl RobotBus {
         self.put_into_mechanics(fleet)
     }
 
-    /// Has the process move the shafts, if there is one.
+    /// Lets the process move the shafts, if there is one.
     fn put_into_mechanics<B: Medium>(&self, fleet: BusFleet<B>) -> Result<BusFleet<B>, RobotError> {
         let Some(MechanicsProcess { socket, period }) = &self.mechanics else { return Ok(fleet) };
         let connected = UnixStream::connect(socket).and_then(|stream| {
@@ -334,7 +334,7 @@ impl RobotBus {
             socket: socket.clone(),
             error,
         })?;
-        // Nobody leads new drives.
+        // New drives are not led yet.
         let _ = fleet.lead(&fleet.drives, *period, Remote::new(stream));
         Ok(fleet)
     }
@@ -352,8 +352,8 @@ impl RobotBus {
 }
 
 impl Fleet {
-    /// The motors of a file that has one bus, with their faults; see [`Robot`] for the file. What it says of the bus
-    /// itself but for its name is left to whoever puts them on one.
+    /// Makes a fleet of the motors of a file that has one bus, with their faults; see [`Robot`] for the file. Of the
+    /// bus itself only its name is used; the caller puts the fleet on a bus.
     ///
     /// # Errors
     /// As [`Robot::from_toml`], or [`RobotError::NotOneBus`].

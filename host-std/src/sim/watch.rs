@@ -1,4 +1,4 @@
-//! A look at drives as they truly are, while a master runs them.
+//! Shows the true state of drives while a master runs them.
 
 use std::sync::Arc;
 
@@ -9,9 +9,10 @@ use super::bus::{Medium, lock};
 use super::{BusFleet, SimulatedDrive};
 
 impl<B: Medium> BusFleet<B> {
-    /// Shows each drive to `look` once a period of the bus's time from now on, at least a microsecond apart, with the
-    /// id that it started with: whatever runs meanwhile, a test sees that no load ever falls. It changes nothing of the
-    /// run. `look` must touch neither the bus, which is in the middle of something, nor a [handle](super::DriveHandle).
+    /// From now on shows each drive to `look` once per period of the bus's time (at least a microsecond), with the id
+    /// that the drive started with. So a test can check that no load ever falls, whatever runs meanwhile. This does not
+    /// change the run. `look` must not use the bus, which is in the middle of something, nor a
+    /// [handle](super::DriveHandle).
     ///
     /// ```
     /// use std::sync::mpsc::channel;

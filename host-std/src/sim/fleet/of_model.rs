@@ -1,4 +1,4 @@
-//! What the drive of a motor model is like.
+//! The drive of a motor model.
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, VersionDate};
 use myactuator_protocol_core::drive::{Derating, FaultLimits, Gains, Parameters};
@@ -16,7 +16,7 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
     let supply_a = (rating.peak_torque_nm * rating.speed_rpm * std::f64::consts::TAU
         / 60.0
         / rating.voltage_v) as f32;
-    // A date that leads to no firmware where none is known of the model's.
+    // Without a known date, one that leads to no firmware.
     let dates = model.firmware.version_dates();
     let version_date = dates.first().copied().unwrap_or(VersionDate::from_raw(0));
     Ok(Parameters {
@@ -57,7 +57,7 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
     })
 }
 
-/// Up to seven characters of the model's name, without the maker's "RMD-"; of a long one what the catalogue has.
+/// Up to seven characters of the model's name, without the maker's "RMD-"; for a long name those of the catalogue's.
 fn model_name(name: &str) -> ModelName {
     let mut bytes = [0; 7];
     let whole = name.strip_prefix("RMD-").unwrap_or(name);

@@ -1,4 +1,4 @@
-//! Drives that are on a bus, and a hand on each.
+//! Drives that are on a bus, and a handle of each.
 
 use std::fmt;
 use std::sync::{Arc, Mutex};
@@ -17,7 +17,7 @@ use crate::sim::mechanics::MechanicsFailure;
 use crate::sim::seat::Seat;
 use crate::sim::shared_supply::SharedSupply;
 
-/// A hand on one simulated drive.
+/// A handle of one simulated drive.
 #[derive(Clone)]
 pub struct DriveHandle {
     motor: MotorId,
@@ -27,9 +27,9 @@ pub struct DriveHandle {
     world: Arc<dyn Serving>,
 }
 
-/// A world, whatever its bus.
+/// A world on any bus.
 pub(super) trait Serving: Send + Sync {
-    /// Brings a node's own time up to now, and sends what it has to send.
+    /// Advances a node's own time to now, and sends what it has to send.
     fn serve(&self, node: StationId);
 }
 
@@ -68,8 +68,8 @@ impl DriveHandle {
         self.station
     }
 
-    /// What has happened in the drive and when, and how many events were lost before; the drive itself is left
-    /// alone.
+    /// Takes what has happened in the drive, with its time, and how many events were lost before. This does not affect
+    /// the drive itself.
     pub(in crate::sim) fn take_events(&self) -> (Vec<(Instant, Event)>, u32) {
         let mut seat = lock(&self.seat);
         let drive = &mut seat.drive;
@@ -77,8 +77,8 @@ impl DriveHandle {
         (events, drive.dropped().1)
     }
 
-    /// Works on the drive as it is now: raise an error, push the shaft, look at the physics. What that leads
-    /// to begins now. Not while the world runs in this thread.
+    /// Works on the drive as it is now: raises an error, pushes the shaft, reads the physics. The effects begin now. Do
+    /// not call this while the world runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
         self.world.serve(self.station);
         let mut seat = lock(&self.seat);
@@ -90,10 +90,10 @@ impl DriveHandle {
     }
 }
 
-/// Drives on a bus. A handle: clones are the same drives on the same bus.
+/// Drives on a bus. This is a handle: clones are the same drives on the same bus.
 #[derive(Debug)]
 pub struct BusFleet<B: Medium> {
-    /// What the bus is called.
+    /// The name of the bus.
     pub name: String,
     /// The bus and its clock.
     pub world: World<B>,
@@ -101,7 +101,7 @@ pub struct BusFleet<B: Medium> {
     pub drives: Vec<DriveHandle>,
     /// Bits per second.
     pub bit_rate: u32,
-    /// That of the first drive.
+    /// The firmware of the first drive.
     pub(super) firmware: Firmware,
     pub(in crate::sim) mechanics_failure: MechanicsFailure,
     pub(in crate::sim) shared_supply: Option<SharedSupply>,
@@ -144,8 +144,8 @@ impl CanFleet {
         self.master_at(self.bit_rate)
     }
 
-    /// A master that speaks at this bit rate, whatever the bus has. It finds those drives that were set to it
-    /// (0xB4).
+    /// A master that speaks at this bit rate, whatever the rate of the bus. It finds the drives that were set to that
+    /// rate (0xB4).
     ///
     /// ```
     /// use myactuator_host_std::protocol::MotorId;

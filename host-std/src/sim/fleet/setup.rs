@@ -1,4 +1,4 @@
-//! What one simulated drive is to be, and the drive that comes of it.
+//! The settings of one simulated drive, and the drive that is made from them.
 
 use std::path::{Path, PathBuf};
 
@@ -15,21 +15,21 @@ use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor};
 use crate::sim::seat::Seat;
 use crate::sim::shaft::ShaftFile;
 
-/// What one motor of a [`Fleet`](super::Fleet) is.
+/// The settings of one motor of a [`Fleet`](super::Fleet).
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorSetup {
     /// The id that it starts with.
     pub id: MotorId,
     /// Its model; `None` for the RMD-X6-P20-60.
     pub model: Option<MotorParameters>,
-    /// The revision of the protocol that its drive speaks; `None` for its model's. One whose motion mode has
-    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
+    /// The revision of the protocol that its drive speaks; `None` for its model's. A revision whose motion mode has
+    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges), too.
     pub firmware: Option<Firmware>,
     /// The scales of its motion mode; `None` for those of its model or its firmware.
     pub motion_ranges: Option<MotionRanges>,
-    /// The version date that it reports (0xB2); `None` for the one that is known of its firmware.
+    /// The version date that it reports (0xB2); `None` for the one that is known for its firmware.
     pub version_date: Option<VersionDate>,
-    /// What it does beside the manual.
+    /// Its deviations from the manual.
     pub quirks: Quirks,
     /// The shortest and the longest time after which it answers.
     pub response: (Duration, Duration),
@@ -37,15 +37,15 @@ pub struct MotorSetup {
     pub has_brake: bool,
     /// What its shaft carries at the start.
     pub load: Load,
-    /// Where its shaft is at the start, degrees, turns included, up to ±10⁹, unless it was left elsewhere by a
-    /// run that has kept that in a [memory folder](super::Fleet::memory_folder). Not far beyond an [end
-    /// stop](crate::sim::plant::EndStop) of its load.
+    /// The angle of its shaft at the start, degrees, turns included, up to ±10⁹. It must not be far beyond an [end
+    /// stop](crate::sim::plant::EndStop) of its load. If a [memory folder](super::Fleet::memory_folder) says where an
+    /// earlier run has left the shaft, it is there instead.
     pub start_angle_deg: f64,
 }
 
 impl MotorSetup {
-    /// One of the usual kind: an RMD-X6-P20-60 without a brake, at 0°, with a bare shaft, which answers after 0.7 to
-    /// 0.9 ms.
+    /// A motor of the usual kind: an RMD-X6-P20-60 without a brake, at 0°, with a bare shaft, whose drive answers after
+    /// 0.7 to 0.9 ms.
     pub fn new(id: MotorId) -> Self {
         Self {
             id,
@@ -61,18 +61,18 @@ impl MotorSetup {
         }
     }
 
-    /// Its model, with the firmware and the scales that were asked for.
+    /// Its model, with the firmware and the scales of these settings.
     pub(super) fn made_model(&self, usual: &MotorParameters) -> MotorParameters {
         let mut model = self.model.as_ref().unwrap_or(usual).clone();
         if let Some(firmware) = self.firmware {
-            // The model's scales are those of its own.
+            // The model's scales are those of the model's own firmware.
             (model.firmware, model.motion) = (firmware, None);
         }
         model.motion = self.motion_ranges.or(model.motion);
         model
     }
 
-    /// The drive, where it is to be.
+    /// The drive in its place.
     pub(super) fn seat(&self, around: Surroundings<'_>) -> Result<Seat, FleetError> {
         let Surroundings { bus, bit_rate, usual_model, seed, files } = around;
         let model = self.made_model(usual_model);
@@ -100,7 +100,7 @@ impl MotorSetup {
             Some(place) => plant.put_back(place),
             None => plant.set_output_angle_deg(self.start_angle_deg),
         };
-        // The load comes last, for its stops may be on any side of 0°.
+        // The load comes last, since its stops may be on any side of 0°.
         let placed = placed.map_err(ParameterError::from);
         placed.and_then(|()| plant.set_load(self.load)).map_err(|error| match kept {
             Some(place) => FleetError::Left { motor: self.id, angle_deg: place.output_deg, error },
@@ -111,19 +111,19 @@ impl MotorSetup {
     }
 }
 
-/// Where a drive is to be.
+/// The place of a drive.
 #[derive(Debug)]
 pub(super) struct Surroundings<'a> {
     pub(super) bus: Bus,
     /// Bits per second.
     pub(super) bit_rate: u32,
-    /// The model of motors that nobody gave another.
+    /// The model of motors that were given no other.
     pub(super) usual_model: &'a MotorParameters,
     pub(super) seed: u64,
     pub(super) files: Option<MemoryFiles>,
 }
 
-/// What a drive keeps from one run to the next.
+/// The files that a drive keeps from one run to the next.
 #[derive(Debug)]
 pub(super) struct MemoryFiles {
     motor: PathBuf,
@@ -131,7 +131,7 @@ pub(super) struct MemoryFiles {
 }
 
 impl MemoryFiles {
-    /// Those of the drive that starts with this id, behind so many others with the same.
+    /// The files of the drive that starts with this id; `namesakes` drives with the same id come before it.
     pub(super) fn of(folder: &Path, motor: MotorId, namesakes: usize) -> Self {
         let which = match namesakes {
             0 => motor.to_string(),
@@ -142,8 +142,8 @@ impl MemoryFiles {
     }
 }
 
-/// The code of the bit rate that a bus has, if the manual gives it one. With a code of no meaning a drive keeps to
-/// its bus.
+/// The code of the bus's bit rate, if the manual has one. With a code that has no meaning a drive keeps the rate of its
+/// bus.
 fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
     let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
     codes.into_iter().find(|&code| bus.bits_per_second(code) == Some(bit_rate))
