@@ -1,4 +1,4 @@
-//! Names in the file system that one simulation has at a time.
+//! Names in the file system that only one simulation has at a time.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -9,10 +9,11 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-/// A path that this simulation alone has, as long as this is kept: of a link to what it serves, of a socket.
+/// A path that only this simulation has for as long as this value lives: that of a link to what it serves, or of a
+/// socket.
 ///
-/// It is a lock on a file beside the path, `.NAME.lock`, which goes with this. Of a process that is killed the file
-/// stays and the lock does not.
+/// It is a lock on a file beside the path, `.NAME.lock`, which is removed with this value. If a process is killed, the
+/// file stays and the lock does not.
 #[derive(Debug)]
 pub struct Claim {
     lock: PathBuf,
@@ -23,7 +24,8 @@ impl Claim {
     /// Claims this path, whatever is there; `None` if another simulation has claimed it.
     ///
     /// # Errors
-    /// The file system's, when the file beside it cannot be made or locked; also of a path without a name.
+    /// What the file system reports if the file beside the path cannot be made or locked; also for a path without a
+    /// name.
     pub fn on(path: &Path) -> io::Result<Option<Self>> {
         let name = path.file_name().ok_or(io::ErrorKind::InvalidInput)?;
         let mut hidden = OsString::from(".");
@@ -38,7 +40,7 @@ impl Claim {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(error.into()),
             }
-            // Whoever had it may have taken the file away since it was opened; the next one would lock a new one.
+            // The process that had it may have removed the file since it was opened; the next would lock a new file.
             let locked = file.metadata()?;
             let is_same =
                 |found: fs::Metadata| (found.dev(), found.ino()) == (locked.dev(), locked.ino());

@@ -16,19 +16,19 @@ use super::control::state::{BusState, MotorState, Traffic};
 
 /// A bus of either kind that is being served.
 pub(super) trait Hosted: Debug {
-    /// What the bus is called.
+    /// The name of the bus.
     fn name(&self) -> &str;
 
     /// Its drives, in the order of their places.
     fn drives(&self) -> &[DriveHandle];
 
-    /// What its drives share, if they do.
+    /// The supply that its drives share, if they do.
     fn shared_supply(&self) -> Option<&SharedSupply>;
 
     /// Its time.
     fn now(&self) -> Instant;
 
-    /// When something happens next by itself; `None` for never.
+    /// When something happens next on its own; `None` for never.
     fn next_event(&self) -> Option<Instant>;
 
     /// Under virtual time, lets time go on.
@@ -37,36 +37,36 @@ pub(super) trait Hosted: Debug {
     /// Counts frames from now on.
     fn count_traffic(&self);
 
-    /// How the bus is, and this motor on it, or all of them.
+    /// The state of the bus, and of this motor on it, or of all.
     fn state(&self, motor: Option<MotorId>) -> BusState;
 
-    /// Cuts or mends a motor's cable, or everybody's.
+    /// Cuts or mends the cable of a motor, or of all.
     fn set_cable(&self, motor: Option<MotorId>, is_cut: bool);
 
-    /// Has time go on with the wall clock from now on, whatever has passed.
+    /// Makes time go on with the wall clock from now on, however much has passed.
     fn follow_wall_clock(&self);
 
-    /// How long it still is until something happens by itself; `None` for nothing ever.
+    /// How long it takes until something happens on its own; `None` for never.
     fn until_next_event(&self) -> Option<Duration> {
         Some((self.next_event()? - self.now()).into())
     }
 
-    /// Tells of drives that were set to another bit rate than their bus has.
+    /// Reports drives that were set to another bit rate than their bus's.
     fn report_rates(&self, notify: &mut dyn FnMut(Notice));
 
-    /// Lets something go wrong at its time, which counts from now.
+    /// Plans a fault, whose time counts from now.
     fn plan(&self, fault: PlannedFault);
 
-    /// How much waits for its time or its condition.
+    /// How many faults wait for their time or condition.
     fn planned(&self) -> usize;
 
-    /// Why shafts stand, said once.
+    /// Why shafts stand; returned once.
     fn poll_mechanics_failure(&mut self) -> Option<String>;
 
     /// What happened in the drives.
     fn poll_log(&mut self) -> Vec<LogRecord>;
 
-    /// Takes the supply from all drives, which store what they save then. Gives those that could not.
+    /// Switches the supply of all drives off, which then store what they keep. Returns those that could not.
     fn power_off(&self) -> Vec<MotorId>;
 }
 
@@ -75,7 +75,7 @@ pub(super) trait Hosted: Debug {
 pub(super) struct Host<B: Medium> {
     fleet: BusFleet<B>,
     log: DriveLog,
-    /// It was said why shafts stand.
+    /// The reason why shafts stand was returned.
     is_failure_told: bool,
     traffic: Arc<Mutex<TrafficNs>>,
 }

@@ -13,11 +13,11 @@ use super::{End, Notice, ServeError};
 use crate::port::{PortError, SocketCan};
 use crate::sim::bus::can::CanPort;
 
-/// How many frames wait for the interface at most; the oldest give way.
+/// The most frames that wait for the interface; then the oldest is dropped.
 const MOST_WAITING: usize = 256;
-/// So many frames are taken in while time stands; what comes then waits in the socket, as far as that has room.
+/// So many frames are taken in while time stands; more wait in the socket, as far as it has room.
 const MOST_HELD: usize = 1 << 16;
-/// When to try again a frame that the interface had no room for: its queue gives no sign.
+/// After how long to try a frame again for which the interface had no room: its queue does not say when it has.
 const TRY_AGAIN: Duration = Duration::from_millis(1);
 
 /// A bridge: whatever is on one bus is sent on the other.
@@ -31,7 +31,7 @@ pub(super) struct InterfaceEnd {
     outward: VecDeque<CanFrame>,
     /// In lock-step, what was taken in.
     held: Option<VecDeque<CanFrame>>,
-    /// It has been told that the bus outside carries nothing.
+    /// It was reported that the real bus carries nothing.
     is_outage_told: bool,
 }
 
@@ -72,7 +72,7 @@ impl InterfaceEnd {
     }
 
     fn pump_outward(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
-        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        // What comes meanwhile waits for the next call: on a slow computer there would be no end of it.
         for _ in 0..self.received() {
             let Ok(frame) = self.port.receive() else { break };
             if self.outward.len() >= MOST_WAITING {
@@ -125,7 +125,7 @@ impl End for InterfaceEnd {
     }
 }
 
-/// Holds what is received, but not without end.
+/// Keeps what is received, up to a limit.
 fn fill<F, E>(
     held: &mut VecDeque<F>,
     mut receive: impl FnMut() -> nb::Result<F, E>,
@@ -140,7 +140,7 @@ fn fill<F, E>(
     Ok(())
 }
 
-/// The same frame in another type; `None` for a kind that the type has not.
+/// The same frame in another type; `None` if that type does not have its kind.
 fn convert<F: Frame>(frame: &impl Frame) -> Option<F> {
     if frame.is_remote_frame() {
         F::new_remote(frame.id(), frame.dlc())

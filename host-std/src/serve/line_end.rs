@@ -10,7 +10,7 @@ use super::{End, Notice, ServeError};
 use crate::sim::LineFleet;
 use crate::sim::bus::rs485::SerialPort;
 
-/// So many chunks hold all that a port keeps.
+/// So many chunks hold everything that a port keeps.
 const MOST_CHUNKS: usize = 64;
 
 /// An RS485 adapter: a serial port at one end, a transceiver on the simulated line at the other.
@@ -20,9 +20,9 @@ pub(super) struct LineEnd {
     port: SerialPort,
     /// The line's name.
     bus: String,
-    /// What the line runs at, in bit/s.
+    /// The bit rate of the line, in bit/s.
     line_rate: u32,
-    /// What the transceiver runs at.
+    /// The bit rate of the transceiver.
     bit_rate: u32,
     /// Written by a program, and not yet taken by the transceiver.
     waiting: Vec<u8>,
@@ -35,7 +35,7 @@ impl LineEnd {
         Self { pty, port, bus, line_rate, bit_rate: line_rate, waiting: Vec::new() }
     }
 
-    /// Has the transceiver run at the rate that the program has set. Told once for each change.
+    /// Sets the transceiver to the rate that the program has set. Each change is reported once.
     fn follow_rate(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
         let Some(asked) = self.pty.bit_rate()?.filter(|&rate| rate != self.bit_rate) else {
             return Ok(());
@@ -81,7 +81,7 @@ impl End for LineEnd {
             }
             self.waiting.extend(chunk.iter().take(length));
         }
-        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        // What comes meanwhile waits for the next call: on a slow computer there would be no end of it.
         for _ in 0..MOST_CHUNKS {
             if !self.port.read_ready()? {
                 break;

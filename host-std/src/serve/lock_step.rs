@@ -8,12 +8,12 @@ use serde_json::json;
 
 use super::{End, LONGEST_WAIT, Notice, ServeError, Server};
 
-/// For so long time goes on before somebody may end the program or ask something.
+/// Time goes on for at most so long before the server looks at `stop` and at requests.
 const TURN: Duration = Duration::from_millis(5);
 /// How often the log is reported, in the drives' time.
 const LOG_EVERY: time::Duration = time::Duration::from_millis(1);
 
-/// Time is to go on, and a client waits for that.
+/// Time is to go on, and a client waits until it has.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Advance {
     client: u64,
@@ -21,7 +21,7 @@ pub(super) struct Advance {
 }
 
 impl Server {
-    /// As in real time, but for the clock.
+    /// As in real time, except for the clock.
     pub(super) fn serve_in_steps(
         &mut self,
         stop: BorrowedFd<'_>,
@@ -30,7 +30,7 @@ impl Server {
         self.ends.iter_mut().for_each(|end| end.hold());
         loop {
             self.answer_requests(notify)?;
-            // Nobody else could end it.
+            // Nothing else could end it.
             let is_there =
                 |it: &Advance| self.control.as_ref().is_some_and(|all| all.has(it.client));
             self.advance = self.advance.filter(is_there);
@@ -69,7 +69,7 @@ impl Server {
         self.pump(notify)
     }
 
-    /// Takes a client's word for how far time may go.
+    /// Notes how far a client lets time go.
     ///
     /// # Errors
     /// A sentence.
@@ -99,7 +99,7 @@ impl Server {
         Ok(())
     }
 
-    /// Lets time go on for a while; whether it has come so far.
+    /// Lets time go on for a while; returns whether it has reached `until`.
     fn go_on(
         &mut self,
         until: time::Instant,

@@ -1,9 +1,9 @@
 //! Simulated drives in real time, for other programs: on serial ports and CAN interfaces.
 //!
-//! Stands above [`sim`](crate::sim), which it runs against the wall clock, and
-//! [`port`](crate::port), whose CAN interface it puts the drives on.
+//! This module stands above [`sim`](crate::sim), which it runs against the wall clock, and
+//! [`port`](crate::port), on whose CAN interface it puts the drives.
 //!
-//! A [`Server`] takes fleets and gives ways to them:
+//! A [`Server`] takes fleets and opens ways to them:
 //!
 //! | way | what programs find there |
 //! |---|---|
@@ -11,22 +11,23 @@
 //! | [`serve_adapter`](Server::serve_adapter) | a pseudo-terminal that is an SLCAN adapter |
 //! | [`serve_interface`](Server::serve_interface) | the drives on a CAN interface of Linux |
 //!
-//! A socket stands in for either pseudo-terminal where an emulator has the other end:
+//! If an emulator has the other end, a socket replaces either pseudo-terminal:
 //! [`serve_line_on`](Server::serve_line_on), [`serve_adapter_on`](Server::serve_adapter_on).
 //!
 //! An adapter and an interface lead to the same CAN bus: what is sent on one is heard on the other.
 //!
-//! Bytes take their time on the simulated bus alone. The bit rate counts all the same: that which a program
-//! sets a line's pseudo-terminal to, which has the line's while no program sets any, and that which it opens
-//! an SLCAN adapter at. At another rate than the bus's it is a station at another rate: it finds the drives
-//! that were set to that (0xB4), and with the others there is noise on RS485 and errors on CAN. The
-//! pseudo-terminal of an SLCAN adapter may be set to any rate, and a socket has none.
+//! Bytes take time only on the simulated bus, but the bit rate of a program counts:
+//! - **RS485 line:** the rate to which a program sets the pseudo-terminal. Until then that is the line's rate. A socket
+//!   has none.
+//! - **SLCAN adapter:** the rate at which a program opens the adapter. Its pseudo-terminal may be set to any rate.
 //!
-//! What drives do, and why they do not, is reported as [`Notice::Log`]. By [`control`] programs see how things
-//! truly are, change loads, supplies and faults, and say how far time may go.
+//! With another rate than the bus's, the program is a station at that rate. It finds the drives that were set to it
+//! (0xB4); with the others there is noise on RS485, and there are errors on CAN.
 //!
-//! One thread waits for all programs and for the next thing that happens on a bus, and sleeps
-//! meanwhile.
+//! What drives do, and why they do not, is reported as [`Notice::Log`]. With [`control`] programs see the true state,
+//! change loads, supplies and faults, and say how far time may go.
+//!
+//! One thread waits for all programs and for the next event on a bus, and sleeps meanwhile.
 
 mod adapter;
 mod claim;
@@ -67,18 +68,18 @@ use pty::Pty;
 
 pub use claim::Claim;
 
-/// The longest wait: drives move, and simulated time must not fall behind.
+/// The longest wait: the drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
-/// Time that passes beyond a wait is made up for, unless it is more than this: then the process was
+/// If a wait takes too long, the drives catch up, unless it is by more than this: then the process was
 /// stopped, or the computer is too slow.
 const LONGEST_LAG: Duration = Duration::from_millis(500);
-/// The controller of a simulated USB adapter, with frames that it keeps for the bus.
+/// The controller of a simulated USB adapter, with the frames that it queues for the bus.
 const ADAPTER: ControllerConfig =
     ControllerConfig { transmit_queue: 64, ..ControllerConfig::SOCKETCAN };
 
-/// A way between a port of a simulated bus and a program outside.
+/// A connection of a port of a simulated bus and another program.
 trait End: Debug {
-    /// What to wait for, while more is wanted from outside.
+    /// What to wait for, while more of the program's bytes are wanted.
     fn source(&self) -> Option<BorrowedFd<'_>>;
 
     /// From now on time stands between a client's steps, and what programs write counts only when it was
@@ -88,7 +89,7 @@ trait End: Debug {
     /// Takes in all that programs have written.
     fn take_in(&mut self) -> Result<(), ServeError>;
 
-    /// Whether it answers programs itself, also while time stands.
+    /// Whether it answers programs on its own, also while time stands.
     fn answers_at_once(&self) -> bool {
         false
     }
@@ -96,7 +97,7 @@ trait End: Debug {
     /// Carries all that waits, both ways.
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError>;
 
-    /// When to pump again at the latest, whatever else happens; `None` for not by itself.
+    /// After how long to pump again at the latest; `None` if nothing requires it.
     fn patience(&mut self) -> Option<Duration>;
 }
 
@@ -113,14 +114,14 @@ pub struct Server {
     oversleep: Oversleep,
 }
 
-/// What the person in front of a server should know.
+/// News for the user of a server.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Notice {
-    /// Something happened in a drive. A server takes its drives' events: nobody else can poll them.
+    /// Something happened in a drive. A server takes the events of its drives, so nothing else can poll them.
     #[error("{0}")]
     Log(LogRecord),
-    /// The process was stopped or the computer was busy: simulated time has left out so much.
+    /// The process was stopped or the computer was busy: simulated time has skipped so much.
     #[error(
         "simulated time stood still for {:.1} s: the program was stopped, or the computer is too slow \
          for so many drives",
@@ -135,12 +136,12 @@ pub enum Notice {
     WrongRate {
         /// The name of the bus.
         bus: String,
-        /// The program's, in bit/s.
+        /// The program's bit rate, in bit/s.
         asked: u32,
-        /// What the bus has, in bit/s.
+        /// The bus's, in bit/s.
         bit_rate: u32,
     },
-    /// A drive remembers another bit rate than its bus has.
+    /// A drive remembers a bit rate that is not its bus's.
     #[error(
         "motor {motor} of the bus \"{bus}\" was set to {bit_rate} bit/s (0xB4), and the bus runs at \
          {bus_rate}: it answers only at its own rate"
@@ -155,7 +156,7 @@ pub enum Notice {
         /// What the bus has, in bit/s.
         bus_rate: u32,
     },
-    /// What moves the shafts of a bus has failed.
+    /// The mechanics that move the shafts of a bus have failed.
     #[error("the shafts of bus \"{bus}\" stand: {reason}")]
     ShaftsStand {
         /// The name of the bus.
@@ -163,21 +164,21 @@ pub enum Notice {
         /// Why.
         reason: String,
     },
-    /// The CAN interface's bus carries nothing, so the drives' frames are lost.
+    /// The bus of the CAN interface carries nothing, so the frames of the drives are lost.
     #[error("replies are lost: {0}")]
     Outage(PortError),
 }
 
-/// Why drives cannot be served, or not any more.
+/// Why drives cannot be served, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The operating system refuses a pseudo-terminal, or fails it; or a socket's program has gone.
+    /// The operating system refuses a pseudo-terminal, one fails, or the program of a socket has gone.
     #[error("no pseudo-terminal to serve: the operating system reports: {0}")]
     Terminal(#[from] io::Error),
     /// The CAN interface cannot be opened or has failed.
     #[error("{0}")]
     Interface(#[from] PortError),
-    /// These drives could not store what they keep over power-off: the name of each bus, and its motors.
+    /// These drives could not store what they keep while off: the name of each bus, and its motors.
     #[error(
         "{} could not store their settings and turns: check the folder's permissions and room",
         .0.iter().map(|(bus, motors)| format!("motors {motors} of \"{bus}\"")).collect::<Vec<_>>().join(", ")
@@ -195,18 +196,18 @@ impl From<SerialError> for ServeError {
 }
 
 impl Server {
-    /// One that serves nothing yet.
+    /// A server that serves nothing yet.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Has adapters that are served from now on hand over what they hear in bursts, at multiples of this period
-    /// only, as USB adapters do.
+    /// Makes adapters that are served from now on hand over what they hear in bursts, only at multiples of this period,
+    /// as USB adapters do.
     pub fn hand_over_every(&mut self, period: time::Duration) {
         self.bursts = period;
     }
 
-    /// Serves drives on an RS485 line, by an adapter with these properties. Gives the path of its
+    /// Serves drives on an RS485 line, through an adapter with these properties. Returns the path of its
     /// serial port.
     ///
     /// # Errors
@@ -243,13 +244,12 @@ impl Server {
         self.ends.push(Box::new(LineEnd::new(pty, port, fleet)));
     }
 
-    /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
-    /// well.
+    /// Takes drives on a CAN bus, to serve them through adapters and interfaces. They also run without one.
     pub fn host_can(&mut self, fleet: &CanFleet) {
         self.hosts.push(Box::new(Host::new(fleet)));
     }
 
-    /// Serves [hosted](Self::host_can) drives by an SLCAN adapter. Gives the path of its serial port.
+    /// Serves [hosted](Self::host_can) drives through an SLCAN adapter. Returns the path of its serial port.
     ///
     /// # Errors
     /// [`ServeError::Terminal`].
@@ -259,8 +259,8 @@ impl Server {
         Ok(path)
     }
 
-    /// As [`serve_adapter`](Self::serve_adapter), by an adapter with this controller, with a socket in place of
-    /// the serial port, for an emulator. Serving ends when the other end is closed.
+    /// As [`serve_adapter`](Self::serve_adapter), through an adapter with this controller, and with a socket in place
+    /// of the serial port, for an emulator. Serving ends when the other end is closed.
     ///
     /// # Errors
     /// [`ServeError::Terminal`].
@@ -280,8 +280,8 @@ impl Server {
         self.ends.push(Box::new(AdapterEnd::new(pty, port, &fleet.name, fleet.bit_rate)));
     }
 
-    /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real one they answer next to
-    /// whatever else is there: take care that no motor has the same id.
+    /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real interface they answer beside
+    /// whatever else is there: make sure that no motor there has the same id.
     ///
     /// # Errors
     /// [`ServeError::Interface`].
@@ -291,8 +291,8 @@ impl Server {
         Ok(())
     }
 
-    /// Lets programs look at the drives and change what they are in, by a Unix socket at this path. [`control`]
-    /// says how. The socket goes at the end.
+    /// Lets programs observe the drives and change their surroundings, through a Unix socket at this path; see
+    /// [`control`]. The socket is removed at the end.
     ///
     /// # Errors
     /// [`ServeError::Control`]; also if another simulation has the socket.
@@ -301,17 +301,17 @@ impl Server {
         Ok(())
     }
 
-    /// Has time stand still but for the steps that a client at the [control socket](Self::control_at)
+    /// Makes time stand still, except for the steps that a client at the [control socket](Self::control_at)
     /// [asks for](control#lock-step).
     pub fn in_lock_step(&mut self) {
         self.is_in_lock_step = true;
     }
 
-    /// Serves until there is something to read from `stop` or it is closed, then takes the supply
-    /// from the drives.
+    /// Serves until there is something to read from `stop`, or it is closed. Then switches the supply of the drives
+    /// off.
     ///
     /// # Errors
-    /// [`ServeError`] as soon as a way is gone for good, or [`ServeError::NotStored`] at the end.
+    /// [`ServeError`] as soon as a connection is gone for good, or [`ServeError::NotStored`] at the end.
     pub fn run(
         mut self,
         stop: impl AsFd,
@@ -369,7 +369,7 @@ impl Server {
         }
     }
 
-    /// The drives' time.
+    /// The time of the drives.
     fn now(&self) -> time::Instant {
         self.hosts.first().map_or(time::Instant::ZERO, |host| host.now())
     }
@@ -392,7 +392,7 @@ impl Server {
         }
     }
 
-    /// Does what programs at the control socket ask for, one thing each.
+    /// Carries out the next request of each program at the control socket.
     fn answer_requests(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
         let Some(mut control) = self.control.take() else { return Ok(()) };
         control.admit();
@@ -425,7 +425,7 @@ impl Server {
 
     /// How long to wait for programs at most.
     fn patience(&mut self) -> Duration {
-        // In this order: what a port gets after it was asked is an event before the next one known.
+        // In this order: what a port gets after it was asked is an event before the next known one.
         let events = self.hosts.iter().filter_map(|host| host.until_next_event()).min();
         let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
         let asked = self.is_asked().then_some(Duration::ZERO);
@@ -442,7 +442,7 @@ impl Server {
         let patience = self.oversleep.shorten(patience);
         let began = Instant::now();
         let mut sources = vec![PollFd::from_borrowed_fd(stop, PollFlags::IN)];
-        // In lock-step the others are taken in when somebody asks something.
+        // In lock-step the others are taken in when a program asks something.
         let ends = self.ends.iter().filter(|end| !self.is_in_lock_step || end.answers_at_once());
         let ends = ends.filter_map(|end| end.source());
         sources.extend(ends.map(|end| PollFd::from_borrowed_fd(end, PollFlags::IN)));

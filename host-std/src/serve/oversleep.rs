@@ -1,13 +1,13 @@
-//! Who sleeps wakes late: Linux lets its timers slip by 50 µs, and an idle processor takes its time to begin.
+//! A thread that sleeps wakes late: Linux lets its timers slip by 50 µs, and an idle processor takes time to start.
 
 use std::time::Duration;
 
-/// A busy machine is late by milliseconds. Nobody stays awake for so long.
+/// A busy machine is late by milliseconds. The thread does not stay awake for so long.
 const LONGEST: Duration = Duration::from_micros(200);
-/// How much of the mean the latest sleep makes: one of so many.
+/// The share of the latest sleep in the mean: one part in so many.
 const WEIGHT: u32 = 8;
 
-/// A look without sleep takes this part of it away: within some 10 ms all.
+/// A look without sleep takes one part in so many away from the mean: within some 10 ms all of it.
 const FORGET: u32 = 1_024;
 
 /// By how much sleeps are too long, on average.
@@ -15,15 +15,15 @@ const FORGET: u32 = 1_024;
 pub(super) struct Oversleep(Duration);
 
 impl Oversleep {
-    /// How long to sleep so as to be awake after `wait`: what is left of it then is spent awake.
+    /// How long to sleep so as to be awake after `wait`. The rest of it is spent awake.
     pub(super) fn shorten(self, wait: Duration) -> Duration {
         wait.saturating_sub(self.0)
     }
 
-    /// A sleep that was to last so long has lasted so long.
+    /// A sleep that was planned to last `planned` has lasted `lasted`.
     pub(super) fn learn(&mut self, planned: Duration, lasted: Duration) {
         if planned.is_zero() {
-            // Who is never let sleep learns nothing, and a busy spell must not keep it awake for ever.
+            // A thread that never sleeps learns nothing, and a busy spell must not keep it awake for ever.
             self.0 -= self.0 / FORGET;
         } else {
             let late = lasted.saturating_sub(planned).min(LONGEST);

@@ -1,4 +1,4 @@
-//! What stands in for a serial port: a pseudo-terminal, or a socket.
+//! Replacements of a serial port: a pseudo-terminal, or a socket.
 
 use std::collections::VecDeque;
 use std::io;
@@ -21,7 +21,7 @@ pub(super) struct Pty {
     held: Option<Held>,
 }
 
-/// What goes through in lock-step, where nothing may depend on when it is read.
+/// The bytes on their way in lock-step, where nothing may depend on when they are read.
 #[derive(Debug, Default)]
 struct Held {
     /// Written by programs, and taken in.
@@ -30,15 +30,15 @@ struct Held {
     unsent: VecDeque<u8>,
 }
 
-/// Of what a program has written so much is taken in while time stands; the rest waits in the pseudo-terminal,
-/// which holds the program up, bytes.
+/// So much of what a program has written is taken in while time stands, bytes. The rest waits in the pseudo-terminal,
+/// which holds the program up.
 const MOST_TAKEN: usize = 1 << 20;
 /// More than this is not kept for programs that do not read, bytes.
 const MOST_UNSENT: usize = 1 << 20;
 
 impl Pty {
-    /// A new one in raw mode and at this bit rate: bytes go through as they are, also of programs that set
-    /// nothing. With the path where programs find it.
+    /// Opens a new pseudo-terminal in raw mode and at this bit rate: bytes pass unchanged, also for programs that set
+    /// nothing. Returns also the path where programs find it.
     pub(super) fn open(bit_rate: u32) -> io::Result<(Self, PathBuf)> {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let device = openpt(flags)?;
@@ -61,7 +61,7 @@ impl Pty {
         Ok(Self { device: stream.into(), port: None, held: None })
     }
 
-    /// Lets the next program in: the port of one that asked to be alone stays locked otherwise, as
+    /// Lets the next program in. Otherwise the port stays locked after a program that has asked to be alone, for as
     /// long as this end is open.
     pub(super) fn admit_all(&self) -> io::Result<()> {
         Ok(self.port.as_ref().map_or(Ok(()), ioctl_tiocnxcl)?)
@@ -114,7 +114,7 @@ impl Pty {
         }
     }
 
-    /// Hands bytes to whoever reads. What finds no room because nobody does is lost.
+    /// Hands bytes to the program. If there is no room because it does not read, they are lost.
     pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         let Some(Held { unsent, .. }) = &mut self.held else {
             return write_device(&self.device, bytes).map(|_| ());
@@ -128,7 +128,7 @@ impl Pty {
     }
 }
 
-/// Gives how many there was room for.
+/// Returns for how many bytes there was room.
 fn write_device(device: &OwnedFd, bytes: &[u8]) -> io::Result<usize> {
     let mut sent = 0;
     while let Some(rest) = bytes.get(sent..).filter(|rest| !rest.is_empty()) {
