@@ -1,4 +1,4 @@
-//! A log of what drives did, and of what they did not and why.
+//! A log of what drives did, and of what they did not do and why.
 
 mod event;
 mod wire;
@@ -18,15 +18,15 @@ use wire::{Counted, WireLog};
 
 pub use event::{FrameFault, LogEvent};
 
-/// Records of the same are reported once, and then counted for so long.
+/// Equal records are reported once, and then counted for so long.
 const FOLD: Duration = Duration::from_secs(1);
 /// So many different things are counted of each drive at once.
 const MOST_COUNTED: usize = 16;
 
-/// Something that happened in a drive: ignored, refused, limited, faulted, restarted; or to it on its wire: cut off,
-/// a frame lost by chance.
+/// Something that happened in a drive (ignored, refused, limited, faulted, restarted), or to it on its wire (cut off,
+/// a frame lost by chance).
 ///
-/// As text a line for people, with the reason and what to do about it; as JSON an object.
+/// As text it is a line for people, with the reason and what to do about it; as JSON it is an object.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LogRecord {
     /// When, in simulated time; in JSON in microseconds.
@@ -36,11 +36,11 @@ pub struct LogRecord {
     pub bus: String,
     /// The id that the drive started with.
     pub motor: MotorId,
-    /// How often it happened. What happens again is reported at most once a second, with its number.
+    /// How often it happened. Repetitions are reported at most once a second, with their number.
     pub count: u32,
-    /// So many events before this one were lost, as nobody asked for them in time.
+    /// So many events before this one were lost because they were not polled in time.
     pub lost: u32,
-    /// What happened; of several the last.
+    /// What happened; the last event if there are several.
     pub event: LogEvent,
 }
 
@@ -59,10 +59,10 @@ impl fmt::Display for LogRecord {
     }
 }
 
-/// Collects what happens in the drives of a bus and to them on their wires, from its making on.
+/// Collects what happens in the drives of a bus, and to them on their wires, from when it is made.
 ///
-/// It takes the events from the drives: what it tells, [`poll_event`] does not tell again. A drive keeps
-/// [16 events](myactuator_protocol_core::drive::QUEUE_LENGTH), so ask often.
+/// It takes the events from the drives: [`poll_event`] does not return them again. A drive keeps
+/// [16 events](myactuator_protocol_core::drive::QUEUE_LENGTH), so poll often.
 ///
 /// ```
 /// use myactuator_host_std::protocol::MotorId;
@@ -97,7 +97,7 @@ struct Watched {
     recent: Vec<Recent>,
 }
 
-/// Something that was told, and what is like it since.
+/// Something that was reported, and the number of equal events since.
 #[derive(Debug)]
 struct Recent {
     told: Instant,
@@ -106,7 +106,7 @@ struct Recent {
 }
 
 impl DriveLog {
-    /// A log of these drives. What happened before is left out.
+    /// A log of these drives, without what has happened before.
     pub fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
         let watch = |drive: &DriveHandle| {
             let (_, lost) = drive.take_events();
@@ -151,7 +151,7 @@ impl DriveLog {
 }
 
 impl Watched {
-    /// Tells how often things came again, when their second is over. What did not is forgotten.
+    /// Reports how often things came again, when their second is over. Things that did not are forgotten.
     fn report_counted(
         &mut self,
         now: Instant,
@@ -172,7 +172,7 @@ impl Watched {
     }
 }
 
-/// Whether two events are the same to whoever reads: what a command asked for makes no difference.
+/// Whether two events are the same for a reader: the values of a command make no difference.
 fn is_alike(a: &LogEvent, b: &LogEvent) -> bool {
     let (LogEvent::Drive(a), LogEvent::Drive(b)) = (a, b) else {
         // Of what lasts each counts.

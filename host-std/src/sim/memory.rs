@@ -1,5 +1,5 @@
-//! What a simulated drive remembers over power-off: in the process, or in a file that is safe against
-//! a crash in the middle of a write. It knows neither bus nor physics.
+//! What a simulated drive remembers while it is off: in the process, or in a file that is safe against
+//! a crash in the middle of a write. This module knows neither bus nor physics.
 //!
 //! The file is text: a line with a checksum, then JSON.
 //!
@@ -8,10 +8,10 @@
 //! {"speed_kp":0.05}
 //! ```
 //!
-//! New settings are written to a second file beside it, flushed to the disk, and put in the place of
-//! the old ones by a rename, which the disk does wholly or not at all. Whenever the power fails,
-//! the next start reads the old settings or the new ones. What still gets damaged, by a failing disk
-//! or an editor, is told by the checksum, never guessed at, and left in place for a person to look at.
+//! New settings are written to a second file beside it, flushed to the disk, and then replace the old ones by a
+//! rename, which is atomic. Whenever the power fails, the next start reads either the old settings or the new ones.
+//! The checksum shows damage by a failing disk or an editor. A damaged file is never guessed at, and is left in place
+//! for a person to look at.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -27,9 +27,9 @@ const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// A drive's non-volatile memory.
 #[derive(Debug)]
 pub enum DriveMemory {
-    /// As long as the simulation lives: what was stored last.
+    /// What was last stored, for as long as the simulation lives.
     Process(Option<Settings>),
-    /// This file, which need not exist; its folder must when something is stored. It has one writer
+    /// This file. It need not exist, but its folder must when something is stored. It has one writer
     /// at a time.
     File(PathBuf),
 }
@@ -70,14 +70,14 @@ fn store(path: &Path, settings: &Settings) -> Result<(), StoreError> {
     let file = write_beside(path, settings)?;
     file.sync_all().map_err(StoreError::io("flush", path))?;
     put_in_place(path)?;
-    // The rename itself is on the disk once the folder is.
+    // The rename itself is on the disk once the folder is flushed.
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     File::open(folder.unwrap_or(Path::new(".")))
         .and_then(|folder| folder.sync_all())
         .map_err(StoreError::io("flush the folder of", path))
 }
 
-/// As a memory is stored, but not flushed to the disk, which takes long.
+/// Stores as for a memory, but without the flush to the disk, which takes long.
 pub(super) fn store_unflushed(path: &Path, kept: &impl Serialize) -> Result<(), StoreError> {
     write_beside(path, kept)?;
     put_in_place(path)
@@ -94,7 +94,7 @@ fn put_in_place(path: &Path) -> Result<(), StoreError> {
     fs::rename(beside(path), path).map_err(StoreError::io("replace", path))
 }
 
-/// The file that is written before it takes the other's place: same folder, hence same disk.
+/// The file that is written before it replaces the other: same folder, hence same disk.
 fn beside(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".new");
@@ -123,7 +123,7 @@ fn unframe(bytes: &[u8]) -> Result<&[u8], Damage> {
 /// What is wrong with a damaged file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Damage {
-    /// It does not begin like a memory's file: empty, cut off early, or another file.
+    /// It does not begin like a file of a memory: empty, cut off early, or another file.
     #[error("it does not begin with \"myactuator-store 1\" and a checksum")]
     NoHeader,
     /// Length or checksum do not fit the content: cut off, or changed.
@@ -131,11 +131,11 @@ pub enum Damage {
     Checksum,
 }
 
-/// Why settings were not loaded or stored. After a failed store those before are still there.
+/// Why settings were not loaded or stored. After a failed store the previous settings are still there.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
-    /// The file system refused.
+    /// The file system reports an error.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// What was tried, as a verb.
@@ -156,7 +156,7 @@ pub enum StoreError {
         /// What is wrong with it.
         damage: Damage,
     },
-    /// The file is as it was written but holds something else.
+    /// The file is intact, but holds something else.
     #[error(
         "the content for {} does not fit: {source}. It may stem from another version",
         path.display()

@@ -10,12 +10,12 @@ use super::bus::{Medium, lock};
 use super::plant::{CommonPoint, ImpossibleFigure, STEP, Supply};
 use super::seat::Seat;
 
-/// What the drives draw is added up in every step of the physics while one of them turns fast or draws much, for then
-/// it depends on the voltage more than a longer period bears, and else in every so many.
+/// While one of the drives turns fast or draws much, what they draw is added up in every step of the physics, since it
+/// then depends too much on the voltage for a longer period. Otherwise it is added up once in so many steps.
 const CALM_STEPS: u32 = 10;
 
-/// A supply that drives share; clones are the same. What one draws all see sag, and what one feeds back the
-/// others use first.
+/// A supply that drives share; clones are the same supply. If one drive draws current, the voltage sags for all. If one
+/// feeds back, the others use that first.
 #[derive(Clone)]
 pub struct SharedSupply(Arc<Mutex<CommonPoint>>);
 
@@ -26,22 +26,22 @@ impl fmt::Debug for SharedSupply {
 }
 
 impl SharedSupply {
-    /// What it is.
+    /// Its figures.
     pub fn supply(&self) -> Supply {
         *lock(&self.0).supply()
     }
 
-    /// Makes it another. Its capacitor keeps its voltage and follows.
+    /// Changes its figures. Its capacitor keeps its voltage at first, and follows.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] for what no supply has.
+    /// [`ImpossibleFigure`] for a figure that no supply has.
     pub fn set_supply(&self, supply: Supply) -> Result<(), ImpossibleFigure> {
         supply.check()?;
         lock(&self.0).replace_supply(supply);
         Ok(())
     }
 
-    /// Between the drives' cables, V.
+    /// Its voltage between the drives' cables, V.
     pub fn voltage_v(&self) -> f64 {
         lock(&self.0).voltage_v()
     }
@@ -72,9 +72,9 @@ impl<B: Medium> BusFleet<B> {
     }
 }
 
-/// What the drives have drawn in a period of so many steps gives the voltage of the next; whether all of them are calm.
-/// Who goes off or starts is woken, for its controller does, too. No two locks are held at a time: who works on a drive
-/// may look at its supply.
+/// The charge that the drives have drawn in a period of so many steps gives the voltage of the next. Returns whether
+/// all of them are calm. A drive that goes off or starts is woken, since its controller does the same. Only one lock is
+/// held at a time: code that works on a drive may look at its supply.
 fn step(
     point: &Mutex<CommonPoint>,
     seats: &[Arc<Mutex<Seat>>],

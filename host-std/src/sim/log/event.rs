@@ -1,4 +1,4 @@
-//! What a log tells of a drive.
+//! The events in a log of a drive.
 
 use std::fmt;
 
@@ -9,8 +9,9 @@ use crate::sim::bus::trace::Fault;
 
 /// Something that happened in a drive, or to it on its wire.
 ///
-/// In JSON a drive's own are as they are there, `"reset"`; those of the wire are `"cable-cut"`, `"cable-mended"`,
-/// `{"slowed": 2000}`, `{"babbles": true}`, `{"frame-to-drive": "lost"}` and `{"frame-from-drive": "broken"}`.
+/// In JSON the events of the drive itself are as the drive has them, such as `"reset"`. Those of the wire are
+/// `"cable-cut"`, `"cable-mended"`, `{"slowed": 2000}`, `{"babbles": true}`, `{"frame-to-drive": "lost"}` and
+/// `{"frame-from-drive": "broken"}`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -19,12 +20,12 @@ pub enum LogEvent {
     CableCut,
     /// Its cable is whole again.
     CableMended,
-    /// What it sends comes so much later from now on, µs; 0 for no more.
+    /// What it sends comes so much later from now on, µs; 0 for no longer.
     Slowed(u64),
-    /// It begins to send frames by itself (`true`), or ends that.
+    /// It begins to send random frames (`true`), or ends that.
     Babbles(bool),
-    /// A fault by chance struck a frame on its way to the drive. On CAN also one that is meant for another: all hear
-    /// all.
+    /// A fault by chance struck a frame on its way to the drive. On CAN the frame may be meant for another drive: all
+    /// hear all.
     FrameToDrive(FrameFault),
     /// The same of a frame that the drive has sent, on its way to a program.
     FrameFromDrive(FrameFault),
@@ -53,9 +54,9 @@ pub enum FrameFault {
     Duplicated,
     /// It arrives late.
     Delayed,
-    /// It arrives behind the one that follows it.
+    /// It arrives after the next one.
     Reordered,
-    /// It went wrong on the wire: a bit was disturbed, or another sent at the same time. On CAN it is repeated.
+    /// It went wrong on the wire: a bit was disturbed, or another station sent at the same time. On CAN it is repeated.
     Broken,
 }
 

@@ -1,4 +1,4 @@
-//! What happens to drives on their wire, counted until somebody asks.
+//! What happens to drives on their wire, counted until it is polled.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,7 +9,7 @@ use crate::sim::bus::trace::{Event, Record};
 use crate::sim::bus::{Medium, StationId, lock};
 use crate::sim::{BusFleet, DriveHandle};
 
-/// What has come since it was taken last.
+/// What has happened since it was last taken.
 #[derive(Clone, Debug)]
 pub(super) struct WireLog(Arc<Mutex<Vec<Wired>>>);
 
@@ -23,8 +23,8 @@ struct Wired {
     counted: Vec<Counted>,
 }
 
-/// Things of one kind: as there are few kinds, nothing is lost however late they are taken. Of what
-/// lasts each is reported.
+/// Events of one kind. There are few kinds, so nothing is lost, however late they are taken. Events that
+/// last are reported one by one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     /// When the first of them came.
@@ -34,7 +34,7 @@ pub(super) struct Counted {
 }
 
 impl Wired {
-    /// Notes what lasts; whether it was otherwise before.
+    /// Notes an event that lasts; returns whether it changes anything.
     fn changes_by(&mut self, event: LogEvent) -> bool {
         match event {
             LogEvent::CableCut => !std::mem::replace(&mut self.is_cut, true),
@@ -83,7 +83,7 @@ fn note<F>(drives: &mut [Wired], record: &Record<F>) {
             (place(record.station), LogEvent::FrameFromDrive(FrameFault::Broken))
         }
         Event::Faulted { from, fault } => match (place(from), place(record.station)) {
-            // Drives have nothing to tell one another.
+            // Frames between drives mean nothing.
             (Some(_), Some(_)) => return,
             (Some(sender), None) => (Some(sender), LogEvent::FrameFromDrive(fault.into())),
             (None, receiver) => (receiver, LogEvent::FrameToDrive(fault.into())),

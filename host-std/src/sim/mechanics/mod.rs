@@ -1,9 +1,9 @@
 //! Mechanics of your own: coupled joints, a game engine, MuJoCo, a rig.
 //!
-//! A motor of the [`plant`](super::plant) moves its own shaft, with a load on it alone. Where shafts act on each
-//! other, or where another program has the robot's body, [`Mechanics`] moves them instead: once a period it is
-//! told what the motors put on their shafts and says where these are and how fast they turn. Between, a shaft
-//! keeps its speed. Windings, supply, heat and encoders stay the plant's.
+//! A motor of the [`plant`](super::plant) moves only its own shaft, with its load. If shafts act on each
+//! other, or if another program simulates the robot's body, [`Mechanics`] moves them instead. Once per period it gets
+//! the torques of the motors on their shafts, and returns the angles and speeds of the shafts. Within a period a shaft
+//! keeps its speed. Windings, supply, heat and encoders stay with the plant.
 //!
 //! ```
 //! use myactuator_host_std::protocol::time::Duration;
@@ -37,26 +37,26 @@
 //! ```
 //!
 //! # How long a period may be
-//! The drives' loops see a shaft's speed once a period, so a period adds its own length to their delay. With the
-//! motor's own inertia as the smallest that a shaft can have, 200 µs is safe with factory gains; a shaft that
-//! carries four times that does with 1 ms.
+//! The drives' loops see the speed of a shaft once per period, so a period adds its own length to their delay. With
+//! factory gains 200 µs is safe for the smallest inertia that a shaft can have, the motor's own; for a shaft that
+//! carries four times that, 1 ms is enough.
 //!
 //! # For a while
-//! [`lead`](BusFleet::lead) gives a [`Leading`], which hands the shafts back to their motors and loads.
+//! [`lead`](BusFleet::lead) returns a [`Leading`], which hands the shafts back to their motors and loads.
 //!
 //! # In another process
-//! [`Remote`] asks a process over a socket, a line of JSON each way and period:
+//! [`Remote`] asks a process over a socket, with one line of JSON in each direction per period:
 //!
 //! ```text
 //! to it    {"period_us":1000,"shafts":[{"motor":1,"torque_nm":1.5,"friction_nm":0.2,"angle_deg":0.0,"speed_dps":0.0}]}
 //! from it  {"shafts":[{"angle_deg":0.0,"speed_dps":0.9}]}
 //! ```
 //!
-//! Shafts come and go in the same order. `examples/mechanics.py` of this package is such a process.
+//! The shafts have the same order in both lines. `examples/mechanics.py` of this package is such a process.
 //!
-//! Mechanics move shafts of one bus: each bus has a clock of its own, and one waits for its answer while the others
-//! stand. A process that moves a robot of several buses listens at a socket for each, and answers each question at
-//! once, with the torques that it was told last of the others: they are up to a period old.
+//! Mechanics move the shafts of one bus. Each bus has its own clock, and waits for its own answer while the others
+//! stand. A process that moves a robot of several buses listens at one socket for each bus, and answers each question
+//! at once. For the other buses it uses the last torques that it got, which are up to a period old.
 
 mod remote;
 mod two_links;
@@ -79,12 +79,12 @@ pub type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 /// Moves the shafts of simulated motors. See the [module](self).
 pub trait Mechanics: Send {
-    /// Moves the shafts on by a period: what acted on each in it is told; its angle and speed are what they
-    /// were at the period's beginning, and are to be what they are at its end.
+    /// Moves the shafts on by a period. Each shaft holds the torques that acted on it in the period, and its angle and
+    /// speed at the beginning of the period. Set angle and speed to those at its end.
     ///
     /// # Errors
-    /// Why it cannot go on. It is not asked again, the shafts stand, and
-    /// [`BusFleet::mechanics_failure`] tells.
+    /// Why it cannot go on. Then this is not called again, the shafts stand, and
+    /// [`BusFleet::mechanics_failure`] returns the reason.
     fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure>;
 }
 
@@ -93,7 +93,7 @@ pub trait Mechanics: Send {
 pub struct Shaft {
     /// The id that its drive started with.
     pub motor: MotorId,
-    /// What acted on it in the period, in the mean.
+    /// The mean of what acted on it in the period.
     pub acting: ShaftTorque,
     /// Its angle, degrees, turns included.
     pub angle_deg: f64,
@@ -101,7 +101,7 @@ pub struct Shaft {
     pub speed_dps: f64,
 }
 
-/// Other mechanics move the shaft.
+/// Other mechanics already move the shaft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("motor {motor} is led already: one mechanics moves a shaft, and may move several")]
 pub struct AlreadyLed {
@@ -109,7 +109,7 @@ pub struct AlreadyLed {
     pub motor: MotorId,
 }
 
-/// Mechanics that move shafts, until they fail or [hand them back](Self::hand_back); dropping this changes nothing.
+/// Mechanics that move shafts, until they fail or [hand them back](Self::hand_back). Dropping this changes nothing.
 #[derive(Debug)]
 pub struct Leading {
     drives: Vec<DriveHandle>,
@@ -124,12 +124,13 @@ enum State {
 }
 
 impl Leading {
-    /// Ends the mechanics: motors and loads move their shafts again, from where these are and with the speed that
-    /// they have. Also after a failure, of shafts that nobody else leads. Not while the world runs in this thread.
+    /// Ends the mechanics: motors and loads move their shafts again, from the present angles and speeds. After a
+    /// failure this hands back the shafts that no other mechanics lead. Do not call this while the world runs in this
+    /// thread.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] if a shaft was led far beyond an [end stop](super::plant::EndStop) of its own load; all
-    /// are led on.
+    /// [`ImpossibleFigure`] if a shaft was led far beyond an [end stop](super::plant::EndStop) of its own load. Then
+    /// the mechanics go on leading all shafts.
     pub fn hand_back(&self) -> Result<(), ImpossibleFigure> {
         let state = *lock(&self.state);
         for drive in self.own(state) {
@@ -143,7 +144,7 @@ impl Leading {
         Ok(())
     }
 
-    /// The drives that nobody else leads by now.
+    /// The drives that no other mechanics lead now.
     fn own(&self, state: State) -> impl Iterator<Item = &DriveHandle> {
         let leads = state == State::Leads;
         self.drives.iter().filter(move |drive| leads || !lock(&drive.seat).is_led)
@@ -155,7 +156,7 @@ fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
     std::mem::replace(&mut lock(seat).is_led, is_led)
 }
 
-/// Why shafts of a fleet stand: the first reason. Clones are the same.
+/// The first reason why shafts of a fleet stand. Clones share it.
 #[derive(Clone, Debug, Default)]
 pub(in crate::sim) struct MechanicsFailure(Arc<Mutex<Option<String>>>);
 
@@ -170,11 +171,12 @@ impl MechanicsFailure {
 }
 
 impl<B: Medium> BusFleet<B> {
-    /// Has `mechanics` move the shafts of these drives from now on, a step each `period`. Their loads are not
-    /// felt any more. A drive is led by one only, until that has failed or [handed it back](Leading::hand_back).
+    /// Lets `mechanics` move the shafts of these drives from now on, with one step per `period`. Their loads have no
+    /// effect then. Only one [`Mechanics`] leads a drive, until it has failed or
+    /// [handed the drive back](Leading::hand_back).
     ///
     /// # Errors
-    /// [`AlreadyLed`]: these mechanics move nothing then.
+    /// [`AlreadyLed`]; then these mechanics move nothing.
     pub fn lead(
         &self,
         drives: &[DriveHandle],
@@ -201,7 +203,7 @@ impl<B: Medium> BusFleet<B> {
         Ok(Leading { drives: drives.to_vec(), state })
     }
 
-    /// Why shafts stand, if their mechanics failed or led them where none can be.
+    /// Why shafts stand, if their mechanics have failed or led them to an impossible place.
     pub fn mechanics_failure(&self) -> Option<String> {
         self.mechanics_failure.reason()
     }
@@ -212,7 +214,7 @@ impl Shaft {
         let (angle_deg, speed_dps) = drive.with(|it| {
             let (angle_deg, speed_dps) =
                 (it.plant().output_angle_deg(), it.plant().output_speed_dps());
-            // Where it is it can be led to.
+            // It can be led to where it is.
             let _ = it.plant_mut().lead(angle_deg, speed_dps);
             (angle_deg, speed_dps)
         });
@@ -263,12 +265,12 @@ impl<M: Mechanics> Leader<M> {
         Ok(())
     }
 
-    /// Has all shafts stand where they are.
+    /// Makes all shafts stand where they are.
     fn stand(&self) {
         for seat in &self.seats {
             let mut seat = lock(seat);
             let angle_deg = seat.drive.plant().output_angle_deg();
-            // Where it is it can be led to.
+            // It can be led to where it is.
             let _ = seat.drive.plant_mut().lead(angle_deg, 0.0);
             seat.is_led = false;
         }

@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Failure, Mechanics, Shaft};
 
-/// The longest line that is read: 32 shafts need a tenth of it.
+/// The longest line that is read; 32 shafts need a tenth of that.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// Asks a process what the shafts do, over a socket: a line of JSON each way and period. See the
+/// Asks a process over a socket what the shafts do, with one line of JSON in each direction per period. See the
 /// [module](super).
 ///
-/// The simulation waits for each answer, so that both have the same time. Give the socket a time limit for reading
-/// and writing (`set_read_timeout`) for a process that hangs.
+/// The simulation waits for each answer, so that both have the same time. In case the process hangs, give the socket
+/// time-outs for reading and writing (`set_read_timeout`).
 #[derive(Debug)]
 pub struct Remote<S> {
     stream: BufReader<S>,
@@ -47,7 +47,7 @@ struct Moved {
 }
 
 impl<S: Read + Write> Remote<S> {
-    /// With a process at the other end of this stream.
+    /// Mechanics in the process at the other end of this stream.
     pub fn new(stream: S) -> Self {
         Self { stream: BufReader::new(stream) }
     }

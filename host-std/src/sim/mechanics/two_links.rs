@@ -5,18 +5,18 @@ use myactuator_protocol_core::time::Duration;
 use super::{Failure, Mechanics, Shaft};
 use crate::sim::plant::{GRAVITY_M_S2, ImpossibleFigure, check};
 
-/// How often the friction of two joints is held against each other in a step: enough for links of which one is a
+/// How many iterations balance the friction of the two joints in a step: enough for links of which one is a
 /// hundred times the other.
 const ROUNDS: usize = 64;
 
-/// A rigid link, from its joint on.
+/// A rigid link; lengths count from its joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Mass, kg, 0 to 10⁴.
     pub mass_kg: f64,
-    /// To the next joint, m, 0 to 100. That of the last link does not matter.
+    /// Distance to the next joint, m, 0 to 100. It does not matter for the last link.
     pub length_m: f64,
-    /// To its centre of mass, m, 0 to 100.
+    /// Distance to its centre of mass, m, 0 to 100.
     pub centre_m: f64,
     /// Inertia about its centre of mass, kg·m², 0 to 10⁶.
     pub inertia_kg_m2: f64,
@@ -32,11 +32,11 @@ impl Link {
     }
 }
 
-/// An arm of two links in a vertical plane. At 0° and 0° it hangs straight down; the second joint's angle is that
-/// between the links.
+/// An arm of two links in a vertical plane. At 0° and 0° it hangs straight down. The angle of the second joint is the
+/// angle between the links.
 ///
-/// One step is a leapfrog as the motors' own; friction, which couples over the arm too, takes from both joints what
-/// it can at most and turns none round.
+/// One step is a leapfrog, like that of the motors. Friction, which the arm couples, too, takes from both joints as
+/// much as it can, and reverses none.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLinks {
     links: [Link; 2],
@@ -44,7 +44,7 @@ pub struct TwoLinks {
 }
 
 impl TwoLinks {
-    /// An arm of these links, from the shoulder on, on motors with this inertia each at the output shaft
+    /// An arm of these links, from the shoulder on. Each motor has this inertia at its output shaft
     /// ([`inertia_kg_m2`](crate::sim::plant::MotorParameters::inertia_kg_m2)), more than 0 up to 10⁶ kg·m².
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl TwoLinks {
         ]
     }
 
-    /// What gravity and the movement itself put on the joints, N·m.
+    /// The torques of gravity and of the movement itself on the joints, N·m.
     fn own_torque_nm(&self, angle_rad: [f64; 2], speed: [f64; 2]) -> [f64; 2] {
         let [upper, fore] = self.links;
         let whirl = fore.mass_kg * upper.length_m * fore.centre_m * libm::sin(angle_rad[1]);
@@ -118,7 +118,7 @@ fn times(matrix: [[f64; 2]; 2], vector: [f64; 2]) -> [f64; 2] {
     matrix.map(|[first, second]| first * vector[0] + second * vector[1])
 }
 
-/// The speeds that dry friction leaves, which takes at most so much of each joint's momentum. A joint that it
+/// The speeds that dry friction leaves. It takes at most `most` of each joint's momentum; a joint that it
 /// holds with less than that stands.
 fn rubbed(yielding: [[f64; 2]; 2], freely: [f64; 2], most: [f64; 2]) -> [f64; 2] {
     let mut taken = [0.0_f64; 2];
