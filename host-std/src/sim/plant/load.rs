@@ -1,4 +1,4 @@
-//! What the output shaft carries.
+//! The load of the output shaft.
 
 use std::ops::RangeInclusive;
 
@@ -11,7 +11,7 @@ pub(in crate::sim) const GRAVITY_M_S2: f64 = 9.806_65;
 /// The largest angle that is told apart from its neighbours, degrees.
 pub(super) const ANGLE_DEG: f64 = 1e9;
 
-/// What is fixed to the output shaft: any of its parts may be there, and what is there adds up.
+/// What is fixed to the output shaft. All parts are optional, and add up.
 ///
 /// Angles are those of the output shaft, turns included. A load is checked when it is fixed to a motor, by
 /// [`SimulatedMotor::set_load`](super::SimulatedMotor::set_load) at any time or by
@@ -46,7 +46,7 @@ pub struct Load {
     /// Torque of the load on the shaft, the same at every angle and speed, N·m, up to ±10⁶: a weight on a
     /// drum, a hand that pushes.
     pub torque_nm: f64,
-    /// Inertia, kg·m², 0 to 10⁶; an [`arm`](Self::arm)'s mass at its length comes on top.
+    /// Inertia, kg·m², 0 to 10⁶. That of the [`arm`](Self::arm)'s mass at its length is added.
     pub inertia_kg_m2: f64,
     /// A weight on a lever.
     pub arm: Option<Arm>,
@@ -54,19 +54,19 @@ pub struct Load {
     pub spring: Option<Spring>,
     /// Torque against the movement per speed, N·m·s/rad, 0 to 10⁶.
     pub damping_nm_s_per_rad: f64,
-    /// Where the joint ends upwards.
+    /// The end stop at the largest angle.
     pub upper_stop: Option<EndStop>,
-    /// Where the joint ends downwards; not above the upper one.
+    /// The end stop at the smallest angle; not above the upper one.
     pub lower_stop: Option<EndStop>,
 }
 
-/// A weight on a lever: it pulls with m g l sin of the angle to where it hangs straight down.
+/// A weight on a lever. Its torque is m g l times the sine of the angle to where it hangs straight down.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Arm {
     /// Mass, kg, 0 to 10⁴.
     pub mass_kg: f64,
-    /// From the shaft to the centre of mass, m, 0 to 100.
+    /// Distance from the shaft to the centre of mass, m, 0 to 100.
     pub length_m: f64,
     /// Angle at which it hangs straight down, degrees, up to ±10⁹.
     pub down_deg: f64,
@@ -83,15 +83,15 @@ pub struct Spring {
     pub stiffness_nm_per_rad: f64,
 }
 
-/// A stop that gives way like a spring and gives back a part of the energy only.
+/// A stop that yields like a spring, and returns only a part of the energy.
 ///
-/// On the way in it pushes with its stiffness, on the way out with restitution² times as much: the loss is
-/// the same at every speed, like that of rubber, and whatever is thrown back leaves with the share
-/// `restitution` of the speed it came with (within 0.005, at the largest stiffness). At rest the stop pushes with any torque between these two, so
-/// what leans on it stands still.
+/// On the way in it pushes with its stiffness, on the way out with restitution² times as much. So the loss is
+/// the same at every speed, like that of rubber, and the shaft bounces back with the share
+/// `restitution` of its speed (within 0.005, at the largest stiffness). At rest the stop pushes with any torque between
+/// these two, so a load that leans on it stands still.
 ///
-/// A stop may be fixed where the shaft leans on it, and the shaft be put there, but no farther in than the motor
-/// presses it: what is beyond that would be flung out, and is refused.
+/// A stop may be fixed where the shaft leans on it, and the shaft may be put there, but no farther in than the motor
+/// could press it. A shaft farther beyond would be flung out, so that is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EndStop {
@@ -100,7 +100,7 @@ pub struct EndStop {
     /// Stiffness, N·m/rad, 0 to 10⁹; the step sets a limit of its own, see
     /// [`TooStiff`](super::ParameterError::TooStiff).
     pub stiffness_nm_per_rad: f64,
-    /// Speed after the contact by speed before it: from 0, which takes all of it, to 1, a spring without
+    /// Speed after the contact divided by the speed before it: from 0, which takes all of it, to 1, a spring without
     /// losses.
     pub restitution: f64,
 }
@@ -117,13 +117,13 @@ impl Load {
         lower_stop: None,
     };
 
-    /// All of its inertia, the arm's included, kg·m².
+    /// Its whole inertia, the arm's included, kg·m².
     pub fn total_inertia_kg_m2(&self) -> f64 {
         self.inertia_kg_m2 + self.arm.map_or(0.0, |arm| arm.mass_kg * arm.length_m * arm.length_m)
     }
 
     /// Torque of the load on a shaft at `angle_rad` that turns with `speed_rad_s`, N·m. At rest a stop pushes
-    /// with as much as it needs to, within limits; the middle of them is given.
+    /// with any torque within limits; this returns the middle of them.
     pub fn torque_at(&self, angle_rad: f64, speed_rad_s: f64) -> f64 {
         let Reaction { torque_nm, taken_nm } = self.reaction_at(angle_rad);
         let direction = if speed_rad_s == 0.0 { 0.0 } else { speed_rad_s.signum() };

@@ -1,23 +1,23 @@
-//! The physics behind a simulated drive: a motor with its gearbox, load, brake, encoder and supply.
-//! It knows no bus and no frames.
+//! The physics of a simulated drive: a motor with its gearbox, load, brake, encoder and supply.
+//! This module knows no bus and no frames.
 //!
 //! [`SimulatedMotor`] implements the [`Plant`](myactuator_protocol_core::drive::Plant) that a drive
-//! acts on. What is inside:
+//! acts on. Its parts:
 //!
 //! | part | model | where |
 //! |---|---|---|
 //! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
-//! | cogging | a sine of the motor's angle; it stores energy and gives it back | [`WindingParameters`] |
+//! | cogging | a sine of the motor's angle; it stores energy and returns it | [`WindingParameters`] |
 //! | backlash | two inertias, motor with friction and brake on one side and output with load on the other, that meet without bouncing | [`GearParameters`] |
-//! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
+//! | load | an inertia, a weight on an arm, a spring, a damper, end stops that return a part of the energy, a constant torque | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | encoders | whole pulses, one on the motor's side with noise, one on the output | [`EncoderParameters`] |
 //! | supply | a source with internal resistance, cable included, and a capacitor; feedback raises the voltage, up to a brake resistor | [`Supply`] |
-//! | heat | the winding, by way of a housing where the file has one, and the output stage, each cooling to ambient | [`SimulatedMotor`] |
+//! | heat | the winding, through a housing if the file has one, and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
-//! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
-//! [`STEP`]; nothing reads a clock, noise is a function of a seed and of the step, and sines and exponentials are `libm`'s rather than
-//! the system's, so the same calls give the same bits, on any machine.
+//! Everything is calculated at the output shaft, in SI units and f64. The same calls give the same bits on any machine:
+//! the step is fixed ([`STEP`]), nothing reads a clock, noise is a function of a seed and of the step, and sines and
+//! exponentials are those of `libm`, not of the system.
 //!
 //! ```
 //! use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};

@@ -18,7 +18,7 @@ use super::{Load, MotorParameters, ParameterError, Supply};
 
 pub(in crate::sim) use placing::ShaftPlace;
 
-/// The simulation's step. Time that is left over is carried to the next call.
+/// The step of the simulation. Time that is left over is carried to the next call.
 pub const STEP: Duration = Duration::from_micros(100);
 
 pub(super) const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
@@ -50,18 +50,18 @@ fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
 ///
 /// One step of [`STEP`] is a leapfrog: half a step of movement, the torques there, the new speed,
 /// the other half of the movement. It is symplectic and of second order, so a spring neither gains
-/// nor loses energy over time; viscous friction and the load's damper are solved exactly within the
-/// step, however strong. Coulomb and static friction, the gear's loss, the brake and what a stop does
-/// not give back take speed away up to their limit and never turn it round: what is at rest stays
+/// nor loses energy over time. Viscous friction and the load's damper are solved exactly within the
+/// step, however strong. Coulomb and static friction, the loss of the gear, the brake and the loss of an end stop
+/// take speed away up to their limit and never reverse it: a shaft at rest stays
 /// exactly at rest until the other torques exceed the limit.
 ///
-/// The current follows the command at once as far as the supply's voltage, less the back-EMF,
-/// drives it; inductance is left out, for with the voltage to spare at most speeds a current loop
-/// sets the current within a step or two. With the output off the motor turns freely until the back-EMF
-/// between two phases is above the supply's voltage: then the diodes of the output stage feed the supply
-/// and brake the shaft. Their own drop is left out.
+/// The current follows the command at once, as far as the supply's voltage less the back-EMF
+/// allows. Inductance is left out, since at most speeds there is enough voltage for a current loop to
+/// set the current within a step or two. With the output off the motor turns freely until the back-EMF
+/// between two phases is above the supply's voltage. Then the diodes of the output stage feed the supply
+/// and brake the shaft. The diodes' own voltage drop is left out.
 ///
-/// Everything a test may want to do to a motor is a `set_*` or `force_*` here.
+/// Everything that a test may do to a motor is a `set_*` or `force_*` here.
 #[derive(Clone, Debug)]
 pub struct SimulatedMotor {
     parameters: MotorParameters,
@@ -94,7 +94,7 @@ impl SimulatedMotor {
     /// nominal voltage.
     ///
     /// # Errors
-    /// [`ParameterError`] for parameters that cannot be.
+    /// [`ParameterError`] for impossible parameters.
     pub fn new(parameters: MotorParameters) -> Result<Self, ParameterError> {
         parameters.check()?;
         let coefficients = Coefficients::new(&parameters, &Load::NONE)?;
@@ -129,7 +129,7 @@ impl SimulatedMotor {
         })
     }
 
-    /// What the motor is like.
+    /// The figures of the motor.
     pub const fn parameters(&self) -> &MotorParameters {
         &self.parameters
     }
@@ -145,7 +145,7 @@ impl SimulatedMotor {
     }
 
     /// Angle of the motor's side of the gear, in degrees of the output shaft: up to half of the gear's backlash
-    /// ahead of or behind [it](Self::output_angle_deg).
+    /// ahead of or behind [the output shaft](Self::output_angle_deg).
     pub fn motor_side_angle_deg(&self) -> f64 {
         self.shaft.motor_angle_rad().to_degrees()
     }
@@ -160,7 +160,7 @@ impl SimulatedMotor {
         self.parameters.inertia_kg_m2() + self.load.total_inertia_kg_m2()
     }
 
-    /// What is fixed to the shaft.
+    /// The load that is fixed to the shaft.
     pub const fn load(&self) -> &Load {
         &self.load
     }
@@ -168,9 +168,8 @@ impl SimulatedMotor {
     /// Fixes a load to the shaft, or [`Load::NONE`]; the speed stays.
     ///
     /// # Errors
-    /// [`ParameterError`] for a load that cannot be or is too stiff to simulate, or with an [end
-    /// stop](super::EndStop) that the shaft is farther beyond than the motor could press it in; the load before it
-    /// stays.
+    /// [`ParameterError`] for a load that is impossible or too stiff to simulate, or if the shaft is farther beyond one
+    /// of its [end stops](super::EndStop) than the motor could press it in. Then the previous load stays.
     pub fn set_load(&mut self, load: Load) -> Result<(), ParameterError> {
         load.check()?;
         let coefficients = Coefficients::new(&self.parameters, &load)?;
@@ -180,17 +179,17 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Where its power comes from.
+    /// The supply of the motor.
     pub const fn supply(&self) -> &Supply {
         &self.link.supply
     }
 
-    /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows. Of a motor that
-    /// [shares](crate::sim::Fleet::supply) one this is the cable to it: only its resistance, which is the same
-    /// both ways, and the capacitor become others.
+    /// Connects another supply. The capacitor at the drive's input keeps its voltage at first, and follows. If the
+    /// motor [shares](crate::sim::Fleet::supply) a supply, this is its cable to that: only the resistance, which is the
+    /// same in both directions, and the capacitor change.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] for a figure that cannot be.
+    /// [`ImpossibleFigure`] for an impossible figure.
     pub fn set_supply(&mut self, supply: Supply) -> Result<(), ImpossibleFigure> {
         supply.check()?;
         self.link.replace_supply(supply, STEP_S);
@@ -220,7 +219,7 @@ impl SimulatedMotor {
             && emf_v.abs() <= CALM_SHARE * DIODES_SHARE * self.link.voltage_v()
     }
 
-    /// Turns the shaft by hand: a torque on it besides the load's, N·m, until set anew.
+    /// Turns the shaft by hand: puts a torque on it besides the load's, N·m, until another is set.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁶ N·m.
@@ -229,12 +228,12 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// What [a hand](Self::set_external_torque_nm) puts on the shaft, N·m.
+    /// The torque of [a hand](Self::set_external_torque_nm) on the shaft, N·m.
     pub const fn external_torque_nm(&self) -> f64 {
         self.external_torque_nm
     }
 
-    /// The brake sticks, open (`true`) or closed (`false`), whatever the drive does; `None` lets it go.
+    /// Makes the brake stick, open (`true`) or closed (`false`), whatever the drive does; with `None` it works again.
     pub fn force_brake(&mut self, open: Option<bool>) {
         self.forced_brake = open;
     }
@@ -244,13 +243,13 @@ impl SimulatedMotor {
         self.forced_brake
     }
 
-    /// Takes another seed for the encoder's [noise](super::EncoderParameters::noise_pulses); the first is 0.
+    /// Sets the seed of the encoder's [noise](super::EncoderParameters::noise_pulses); 0 at first.
     pub const fn set_noise_seed(&mut self, seed: u64) {
         self.noise.reseed(seed);
     }
 
-    /// What the encoder on the output shaft shows, pulses of its own, turns included: it sees the load's side of
-    /// the gear's play. `None` where there is none.
+    /// The reading of the encoder on the output shaft, in its own pulses, turns included. It sees the load's side of
+    /// the gear's play. `None` if there is no such encoder.
     pub fn output_encoder_pulses(&self) -> Option<i64> {
         let bits = self.parameters.encoder.output_bits;
         (bits > 0).then(|| encoder::pulses(self.shaft.angle_rad, bits))
@@ -261,7 +260,7 @@ impl SimulatedMotor {
         self.housing.as_ref().map(ThermalNode::temperature_c)
     }
 
-    /// Sets the air's temperature, °C.
+    /// Sets the temperature of the air, °C.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] below absolute zero.
@@ -273,7 +272,7 @@ impl SimulatedMotor {
     /// Holds the voltage at the drive's input, V, whatever is drawn; `None` lets it go.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] for what no supply has.
+    /// [`ImpossibleFigure`] for a voltage that no supply has.
     pub fn force_supply_voltage_v(
         &mut self,
         voltage_v: Option<f64>,
@@ -303,8 +302,8 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Breaks or mends the encoder. Broken, it shows the pulses and the speed of that moment and
-    /// says that they are not to be trusted; mended, it shows the true angle, for it is absolute.
+    /// Breaks or mends the encoder. A broken encoder shows the pulses and the speed of the moment when it broke,
+    /// and says that they are not valid. A mended one shows the true angle, since it is absolute.
     pub fn set_encoder_fault(&mut self, broken: bool) {
         self.frozen = broken.then(|| self.frozen.unwrap_or(self.seen_by_encoder()));
     }
@@ -319,7 +318,7 @@ impl SimulatedMotor {
     }
 
     /// Currents of the phases A, B and C, A. All of the current makes torque (the flux current is
-    /// 0), and their sum is 0.
+    /// 0). The sum of the three is 0.
     fn phase_currents_a(&self) -> [f64; 3] {
         let amplitude = self.current_a * self.coefficients.amplitude_per_a;
         let turns = self.shaft.motor_angle_rad() * self.coefficients.electrical_turns_per_rad;

@@ -1,4 +1,4 @@
-//! What a motor is like: the figures of a data sheet, from a TOML file, checked.
+//! The figures of a motor's data sheet, from a TOML file, checked.
 
 use super::figure::{ImpossibleFigure, check};
 use super::models::MODELS;
@@ -37,7 +37,7 @@ macro_rules! table {
 }
 
 table! {
-    /// `[rating]`: what the data sheet promises. Software reads it; the physics does not.
+    /// `[rating]`: the ratings of the data sheet. Software uses them; the physics does not.
     Rating ["rating"] {
         /// Nominal supply voltage, V.
         voltage_v: f64, "nominal supply voltage", "V", 1.0..=1000.0;
@@ -57,8 +57,8 @@ table! {
         speed_rpm: f64, "rated speed", "rpm", 0.1..=100_000.0;
         /// Speed of the output shaft without load at the nominal voltage, revolutions a minute.
         no_load_speed_rpm: f64, "no-load speed", "rpm", 0.1..=100_000.0;
-        /// Torque per ampere as printed, N·m/A at the output shaft, friction at the rated point
-        /// already taken off: what software that turns torque into current goes by.
+        /// Torque per ampere as printed, N·m/A at the output shaft, with friction at the rated point
+        /// already subtracted. Software that converts torque to current uses it.
         torque_constant_nm_per_a: f64, "rated torque constant", "N·m/A", 0.000_1..=10_000.0;
         /// Mass, kg.
         mass_kg: f64, "mass", "kg", 0.001..=10_000.0;
@@ -68,15 +68,15 @@ table! {
 table! {
     /// `[gear]`: the reducer.
     GearParameters ["gear"] {
-        /// Turns of the motor shaft to one of the output shaft.
+        /// Turns of the motor shaft for one of the output shaft.
         ratio: f64, "gear ratio", "", 1.0..=10_000.0;
-        /// Share of the air-gap torque that the teeth hand on. The rest is friction in proportion to
-        /// that torque, whichever way the shaft turns.
+        /// Share of the air-gap torque that the teeth transmit. The rest is friction in proportion to
+        /// that torque, in both directions of turning.
         efficiency: f64, "gear efficiency", "", 0.05..=1.0;
         /// Inertia of what turns with the output shaft, kg·m².
         output_inertia_kg_m2: f64, "output inertia", "kg·m²", 0.0..=10_000.0;
         /// How far the output turns between the teeth's two sides while the motor stands, minutes of arc; 0,
-        /// which is the default, for a gear without play. With it the output needs an inertia.
+        /// which is the default, for a gear without play. With play the output needs an inertia.
         #[serde(default)]
         backlash_arcmin: f64, "backlash", "arcmin", 0.0..=600.0;
     }
@@ -89,23 +89,23 @@ table! {
         pole_pairs: u8, "pole pairs", "", 1.0..=100.0;
         /// Resistance of one phase, terminal to star point, at 25 °C, Ω.
         phase_resistance_ohm: f64, "phase resistance", "Ω", 0.000_1..=1_000.0;
-        /// Growth of that resistance with temperature, 1/K; copper: 0.00393.
+        /// Increase of that resistance with temperature, 1/K; copper: 0.00393.
         resistance_coefficient_per_k: f64, "temperature coefficient of resistance", "1/K", 0.0..=0.1;
-        /// Torque per ampere of torque current, at the output shaft behind the gear's loss and before
+        /// Torque per ampere of torque current, at the output shaft, after the gear's loss and before
         /// any other friction, N·m/A. The back-EMF follows from it.
         torque_constant_nm_per_a: f64, "torque constant", "N·m/A", 0.000_1..=10_000.0;
         /// Inertia of the rotor at the motor shaft, kg·m².
         rotor_inertia_kg_m2: f64, "rotor inertia", "kg·m²", 0.000_000_001..=100.0;
-        /// Amplitude of the torque with which the magnets cling to the teeth of the iron, N·m at the output shaft;
+        /// Amplitude of the torque between the magnets and the teeth of the iron, N·m at the output shaft;
         /// 0 by default.
         #[serde(default)]
         cogging_nm: f64, "cogging torque", "N·m", 0.0..=10_000.0;
-        /// How often that goes up and down in a turn of the motor shaft: the least common multiple of poles and
+        /// Periods of that torque in a turn of the motor shaft: the least common multiple of poles and
         /// slots; 0 by default.
         #[serde(default)]
         cogging_periods: u16, "cogging periods", "", 0.0..=10_000.0;
         @plain {
-            /// What an ampere of torque current is.
+            /// The meaning of an ampere of torque current.
             current_scale: CurrentScale
         }
     }
@@ -132,15 +132,15 @@ table! {
 }
 
 table! {
-    /// `[encoder]`: the one on the motor shaft, and whether there is one on the output shaft.
+    /// `[encoder]`: the encoder on the motor shaft, and that on the output shaft, if there is one.
     EncoderParameters ["encoder"] {
-        /// Bits: a turn of the motor shaft is 2 to the power of this many pulses.
+        /// Bits: a turn of the motor shaft has 2 to the power of this many pulses.
         bits: u8, "encoder bits", "", 8.0..=24.0;
-        /// Bits of the encoder on the output shaft; 0 where there is none. Without it the drive knows after a
-        /// start where the output is within a turn of the motor shaft only. Angles are read from the other one.
+        /// Bits of the encoder on the output shaft; 0 if there is none. Without it the drive knows after a
+        /// start where the output is only within a turn of the motor shaft. Angles are read from the motor's encoder.
         output_bits: u8, "output encoder bits", "", 0.0..=24.0;
-        /// Noise of the encoder on the motor shaft, pulses rms; 0 by default. The speed is reported without noise, for
-        /// a drive smooths it.
+        /// Noise of the encoder on the motor shaft, pulses rms; 0 by default. The speed is reported without noise,
+        /// since a drive smooths it.
         #[serde(default)]
         noise_pulses: f64, "encoder noise", "pulses", 0.0..=100_000.0;
     }
@@ -154,24 +154,24 @@ table! {
         /// Largest amplitude of a phase's voltage, as a share of the supply voltage: 0.577 with
         /// sinusoidal currents and no reserve, 0.637 in six steps.
         modulation_limit: f64, "modulation limit", "", 0.01..=0.637;
-        /// What the electronics draw by themselves, W.
+        /// Power that the electronics themselves draw, W.
         idle_power_w: f64, "idle power", "W", 0.0..=1_000.0;
     }
 }
 
 table! {
-    /// `[thermal]`: winding and output stage, each cooling to the air by itself; the winding by way of the housing,
+    /// `[thermal]`: winding and output stage, each cooling to the air separately; the winding through the housing,
     /// if that has figures.
     ThermalParameters ["thermal"] {
         /// Heat that warms the winding by 1 K, J/K.
         winding_capacity_j_per_k: f64, "winding heat capacity", "J/K", 0.001..=1_000_000.0;
         /// Steady rise of the winding per watt of copper loss, K/W.
         winding_resistance_k_per_w: f64, "winding thermal resistance", "K/W", 0.000_1..=10_000.0;
-        /// Heat that warms the housing by 1 K, J/K; 0, which is the default, for none between winding and air.
+        /// Heat that warms the housing by 1 K, J/K; 0, which is the default, for no housing between winding and air.
         #[serde(default)]
         housing_capacity_j_per_k: f64, "housing heat capacity", "J/K", 0.0..=1_000_000.0;
-        /// Which part of the winding's thermal resistance is that of the housing to the air, K/W; 0 by default,
-        /// and above that with a capacity.
+        /// The part of the winding's thermal resistance that is between housing and air, K/W; 0 by default,
+        /// and more than 0 with a capacity.
         #[serde(default)]
         housing_resistance_k_per_w: f64, "housing thermal resistance", "K/W", 0.0..=10_000.0;
         /// Heat that warms the output stage by 1 K, J/K.
@@ -183,21 +183,21 @@ table! {
 
 table! {
     /// `[derating]`: how the drive's largest current falls with heat, in a straight line from all of it to none.
-    /// Whatever it says, a simulated drive cuts its output above 90 °C of the winding and 85 °C of the output stage
-    /// ([`FaultLimits`](myactuator_protocol_core::drive::FaultLimits)), so that a line takes effect below these.
+    /// In any case a simulated drive cuts its output above 90 °C of the winding and 85 °C of the output stage
+    /// ([`FaultLimits`](myactuator_protocol_core::drive::FaultLimits)), so a line takes effect only below these.
     DeratingParameters ["derating"] {
-        /// Winding temperature from which there is less, °C.
+        /// Winding temperature above which there is less current, °C.
         motor_from_c: f64, "motor temperature where derating begins", "°C", 0.0..=1_000.0;
-        /// Winding temperature from which there is nothing, °C.
+        /// Winding temperature from which there is no current, °C.
         motor_to_c: f64, "motor temperature where derating ends", "°C", 0.0..=1_000.0;
-        /// Temperature of the output stage from which there is less, °C.
+        /// Temperature of the output stage above which there is less current, °C.
         mos_from_c: f64, "output stage temperature where derating begins", "°C", 0.0..=1_000.0;
-        /// Temperature of the output stage from which there is nothing, °C.
+        /// Temperature of the output stage from which there is no current, °C.
         mos_to_c: f64, "output stage temperature where derating ends", "°C", 0.0..=1_000.0;
     }
 }
 
-/// What an ampere of torque current is: data sheets print either.
+/// The meaning of an ampere of torque current; data sheets print either.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CurrentScale {
@@ -219,8 +219,8 @@ impl CurrentScale {
 
 /// A motor with its gearbox, brake, encoder and output stage.
 ///
-/// Its fields are the tables of the file. Whoever sets them by hand need not check: making a
-/// [`SimulatedMotor`](super::SimulatedMotor) of them does.
+/// Its fields are the tables of the file. If you set them by hand you need not check them:
+/// [`SimulatedMotor::new`](super::SimulatedMotor::new) does.
 ///
 /// ```
 /// use myactuator_host_std::sim::plant::MotorParameters;
@@ -238,7 +238,7 @@ pub struct MotorParameters {
     pub name: String,
     /// The revision of the protocol that its drive speaks: `"v4.3"`, `"v4.4"`.
     pub firmware: Firmware,
-    /// What the data sheet promises.
+    /// The ratings of the data sheet.
     pub rating: Rating,
     /// The reducer.
     pub gear: GearParameters,
@@ -254,10 +254,10 @@ pub struct MotorParameters {
     pub inverter: InverterParameters,
     /// Heating and cooling.
     pub thermal: ThermalParameters,
-    /// How the drive gives less when it is hot; a file may leave it out, for one that does not.
+    /// How the drive's largest current falls with heat; a file may leave it out if it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub derating: Option<DeratingParameters>,
-    /// The scales of motion mode, where they are not the firmware's own; a file may leave them out, unless they
+    /// The scales of motion mode, if they are not the firmware's own; a file may leave them out, unless they
     /// depend on the motor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<MotionRanges>,
@@ -265,10 +265,10 @@ pub struct MotorParameters {
 
 impl MotorParameters {
     /// A model that comes with the library, by its full name or by that of the maker's catalogue, which drives
-    /// tell: "RMD-X8-P20-120" or "X8-120". Capitals do not matter.
+    /// report: "RMD-X8-P20-120" or "X8-120". Case does not matter.
     ///
     /// # Errors
-    /// [`ParameterError::UnknownModel`], which lists those that there are.
+    /// [`ParameterError::UnknownModel`], which lists all models.
     pub fn named(name: &str) -> Result<Self, ParameterError> {
         match MODELS.iter().find(|model| model.is_called(name.trim())) {
             Some(model) => Self::from_toml(model.toml),
@@ -276,8 +276,8 @@ impl MotorParameters {
         }
     }
 
-    /// The parameters in a file's text. Every key is required but for the tables [`derating`](Self::derating) and [`motion`](Self::motion) and those that
-    /// say what they are by default, no other is allowed.
+    /// The parameters in the text of a file. Every key is required, except for the tables [`derating`](Self::derating)
+    /// and [`motion`](Self::motion) and keys whose documentation gives a default. No other keys are allowed.
     ///
     /// # Errors
     /// [`ParameterError`]: it names the key, what was expected and what was found.
@@ -288,11 +288,11 @@ impl MotorParameters {
         Ok(parameters)
     }
 
-    /// Whether a motor can be made of these figures.
+    /// Checks that a motor can be made of these figures.
     ///
     /// # Errors
-    /// [`ParameterError::OutOfRange`] for a figure by itself, [`ParameterError::Contradiction`] for
-    /// two that do not go together, [`ParameterError::NoMotionRanges`].
+    /// [`ParameterError::OutOfRange`] for a single figure, [`ParameterError::Contradiction`] for
+    /// two figures that do not fit together, [`ParameterError::NoMotionRanges`].
     pub fn check(&self) -> Result<(), ParameterError> {
         self.rating.check()?;
         self.gear.check()?;
@@ -338,7 +338,7 @@ impl MotorParameters {
         at_most("friction.coulomb_nm", coulomb_nm, "friction.static_nm", static_nm)
     }
 
-    /// The scales of motion mode: its own, else its firmware's.
+    /// The scales of motion mode: its own, or else its firmware's.
     ///
     /// # Errors
     /// [`ParameterError::NoMotionRanges`].
@@ -367,7 +367,7 @@ fn at_most(
     }
 }
 
-/// Why there is no motor.
+/// Why a motor cannot be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
@@ -383,7 +383,7 @@ pub enum ParameterError {
     /// Not TOML, a key missing, unknown or of another type.
     #[error("motor parameters: {0}")]
     Toml(#[source] Box<toml::de::Error>),
-    /// A figure that cannot be.
+    /// A figure that is impossible.
     #[error("{key}: {error}")]
     OutOfRange {
         /// Table and key of the figure.
@@ -391,10 +391,10 @@ pub enum ParameterError {
         /// What is allowed, and what was given.
         error: ImpossibleFigure,
     },
-    /// A load, a supply or the like that cannot be.
+    /// A load, a supply or the like that is impossible.
     #[error("{0}")]
     Setting(#[from] ImpossibleFigure),
-    /// Two figures that cannot both be.
+    /// Two figures that contradict each other.
     #[error("{low_key} must be at most {high_key}, but they are {low} and {high}: change either")]
     Contradiction {
         /// Table and key of the figure that must be the smaller one or equal.
@@ -412,7 +412,7 @@ pub enum ParameterError {
          [motion], which are position_rad, velocity_rad_s, kp, kd and torque_nm"
     )]
     NoMotionRanges(Firmware),
-    /// Figures that make something happen faster than the simulation's step can follow.
+    /// Figures that make something faster than the step of the simulation can follow.
     #[error(
         "{what}: the rate must be at most {limit_per_s:.0} /s for the simulation's step, but it is \
          {rate_per_s:.0} /s"
@@ -425,7 +425,7 @@ pub enum ParameterError {
         /// The fastest that the step can follow, 1/s.
         limit_per_s: f64,
     },
-    /// A load that swings faster than the simulation's step can follow.
+    /// A load that swings faster than the step of the simulation can follow.
     #[error(
         "the load is too stiff for the simulation's step: {stiffness_nm_per_rad:.0} N·m/rad, but with \
          {inertia_kg_m2:.4} kg·m² at the output shaft at most {most_nm_per_rad:.0} N·m/rad: make its \

@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 /// The largest voltage, V.
 const MOST_V: f64 = 1000.0;
 
-/// A voltage source behind a resistance, with the capacitor at the drive's input; where drives
-/// [share](crate::sim::Fleet::supply) it, at the point where their cables meet.
+/// A voltage source behind a resistance, with the capacitor at the drive's input. If drives
+/// [share](crate::sim::Fleet::supply) the supply, the capacitor is at the point where their cables meet.
 ///
-/// While the drive draws power its voltage sags by current times resistance. While the motor feeds
-/// back, the voltage rises by current times *feedback* resistance: small for a battery, large for a
-/// power supply that takes nothing back. A brake resistor burns what nobody takes.
+/// While the drive draws power, its voltage sags by current times resistance. While the motor feeds
+/// back, the voltage rises by current times *feedback* resistance, which is small for a battery, and large for a
+/// power supply that takes nothing back. A brake resistor burns what is not taken.
 ///
-/// Below 4 V at its input (an estimate) a drive goes off and draws nothing; it starts when there are 5 V again.
+/// Below 4 V at its input (an estimate) a drive goes off and draws nothing. It starts when there are 5 V again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
@@ -25,7 +25,7 @@ pub struct Supply {
     pub feedback_resistance_ohm: f64,
     /// Capacitor at the drive's input, F.
     pub capacitance_f: f64,
-    /// What burns power that is fed back; `None` by default.
+    /// The resistor that burns power that is fed back; `None` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brake_resistor: Option<BrakeResistor>,
 }
@@ -34,16 +34,17 @@ pub struct Supply {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BrakeResistor {
-    /// It goes on above this voltage, V; not below the supply's own.
+    /// It is switched on above this voltage, V; not below the supply's own.
     pub on_above_v: f64,
-    /// It goes off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and not below the supply's own.
+    /// It is switched off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and not below the supply's
+    /// own.
     pub off_below_v: f64,
     /// Resistance, Ω.
     pub resistance_ohm: f64,
 }
 
 impl Supply {
-    /// A battery: 50 mΩ both ways. The capacitor of this and of [`bench`](Self::bench) is the
+    /// A battery: 50 mΩ in both directions. The capacitor of this and of [`bench`](Self::bench) is the
     /// 1000 µF that the maker's X-series manual (V1.1, 5.1) asks for.
     pub const fn battery(voltage_v: f64) -> Self {
         Self {

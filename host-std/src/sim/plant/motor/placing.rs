@@ -1,4 +1,4 @@
-//! Where the shaft is put from outside: by a hand, as a former run has left it, by mechanics that lead it.
+//! The shaft is placed from outside: by a hand, as a former run has left it, or by mechanics that lead it.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use crate::sim::plant::led::{Led, ShaftTorque};
 use crate::sim::plant::load::{ANGLE_DEG, Coming, Load};
 use crate::sim::plant::shaft::Shaft;
 
-/// Where both sides of the gear are, degrees of the output shaft, turns included.
+/// The places of both sides of the gear, degrees of the output shaft, turns included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::sim) struct ShaftPlace {
     pub(in crate::sim) output_deg: f64,
@@ -32,12 +32,12 @@ impl SimulatedMotor {
         check("angle of the shaft between its end stops", "deg", reach_deg, angle_deg).map(|_| ())
     }
 
-    /// Turns the shaft to an angle, degrees, at rest; the gear's teeth are in the middle of their play. One that is
+    /// Puts the shaft at an angle, degrees, at rest, with the gear's teeth in the middle of their play. A shaft that is
     /// [led](Self::lead) stays there only until it is led elsewhere.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] beyond ±10⁹ degrees, and farther beyond an [end stop](crate::sim::plant::EndStop) than the motor
-    /// could press it in.
+    /// [`ImpossibleFigure`] beyond ±10⁹ degrees, or farther beyond an [end stop](crate::sim::plant::EndStop) than the
+    /// motor could press it in.
     pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
         let angle_rad =
             check("output angle", "deg", -ANGLE_DEG..=ANGLE_DEG, angle_deg)?.to_radians();
@@ -46,7 +46,7 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Turns both sides of the gear to where [`place`](Self::place) has told that they were, at rest.
+    /// Puts both sides of the gear at the places that [`place`](Self::place) has returned, at rest.
     ///
     /// # Errors
     /// As [`set_output_angle_deg`](Self::set_output_angle_deg).
@@ -58,7 +58,7 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Where both sides of the gear are.
+    /// The places of both sides of the gear.
     pub(in crate::sim) fn place(&self) -> ShaftPlace {
         ShaftPlace {
             output_deg: self.output_angle_deg(),
@@ -76,10 +76,9 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Leads the shaft: puts it to an angle, degrees, turning with a speed, degrees per second, which it keeps
-    /// until it is led again. Neither the load nor the motor's own inertia moves it any more; the latter
-    /// ([`inertia_kg_m2`](crate::sim::plant::MotorParameters::inertia_kg_m2)) is for whoever leads it to mind. The gear of a led
-    /// shaft has no play.
+    /// Leads the shaft: puts it at an angle, degrees, with a speed, degrees per second, which it keeps until it is led
+    /// again. The load and the motor's own inertia no longer affect it; the caller has to account for that inertia
+    /// ([`inertia_kg_m2`](crate::sim::plant::MotorParameters::inertia_kg_m2)). The gear of a led shaft has no play.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees or ±10⁶ degrees per second; the shaft goes on as before.
@@ -91,11 +90,11 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Leads the shaft no more: motor and load move it on from where it is, with the speed that it has.
+    /// Stops leading the shaft: motor and load move it on from its present angle and speed.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] for a shaft that was led [far beyond](crate::sim::plant::EndStop) an end stop of its own load; it
-    /// stays led.
+    /// [`ImpossibleFigure`] for a shaft that was led [far beyond](crate::sim::plant::EndStop) an end stop of its own
+    /// load; it stays led.
     pub fn let_go(&mut self) -> Result<(), ImpossibleFigure> {
         let Some(led) = self.led.take() else { return Ok(()) };
         if let Err(error) = self.check_reach(&self.load, self.output_angle_deg()) {
@@ -112,7 +111,7 @@ impl SimulatedMotor {
         self.led.is_some()
     }
 
-    /// What has acted on the shaft since it was [led](Self::lead) last, in the mean; nothing on one that is not
+    /// The mean of what has acted on the shaft since it was last [led](Self::lead); nothing for a shaft that is not
     /// led.
     pub fn acting(&self) -> ShaftTorque {
         self.led.map(Led::mean).unwrap_or_default()
