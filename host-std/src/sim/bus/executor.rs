@@ -10,14 +10,14 @@ use super::nanos::{NEVER, Nanos};
 use super::world::World;
 use sealed::Passing;
 
-/// So many turns in a row take no time.
+/// So many consecutive turns take no time.
 const FREE_TURNS: u32 = 100;
 /// What each further one takes, so that a task which goes round and round sees time pass.
 const TURN: Nanos = 10_000;
 /// The longest sleep in real time: another thread may have used the world meanwhile.
 const LONGEST_SLEEP: Nanos = 1_000_000;
 
-/// A simulated bus, whichever: what [`block_on`] lets time go on for. Only this library has any.
+/// A simulated bus of any kind, on which [`block_on`] lets time go on. Only this library implements it.
 pub trait Timeline: Passing {}
 
 mod sealed {
@@ -51,26 +51,26 @@ impl<B: Medium> Passing for World<B> {
 }
 
 impl<B: Medium> World<B> {
-    /// Runs async code in this world, which may be several tasks joined. While any of them has something
-    /// to do, no time passes; when all wait, time goes on to the next thing that happens or that one of
-    /// them waits for. So a run is the same every time.
+    /// Runs async code in this world, which may be several joined tasks. While any task has something
+    /// to do, no time passes. When all wait, time goes on to the next event, or to the next time that a task
+    /// waits for. So every run is the same.
     ///
-    /// A task that does not wait but yields over and over sees time pass all the same: after a hundred
+    /// A task that does not wait but yields over and over still sees time pass: after a hundred
     /// turns, 10 us with each.
     ///
-    /// In real time it sleeps instead.
+    /// In real time this sleeps instead.
     ///
-    /// What waits for another world waits for ever, as time stands still there: run it in [`block_on`] with
-    /// both.
+    /// A task that waits for another world waits for ever, since time stands still there: run it in [`block_on`] with
+    /// both worlds.
     ///
     /// # Panics
-    /// If every task waits for what cannot come, since nothing is left to happen in the world.
+    /// If every task waits for something that cannot come, since nothing is left to happen in the world.
     pub fn block_on<F: Future>(&self, future: F) -> F::Output {
         block_on(&[self], future)
     }
 }
 
-/// As [`World::block_on`], in several worlds at once: time passes alike in all of them.
+/// As [`World::block_on`], in several worlds: the same time passes in all of them.
 ///
 /// # Panics
 /// As there.

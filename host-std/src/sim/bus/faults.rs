@@ -1,34 +1,34 @@
-//! What can go wrong, by chance and by hand.
+//! What can go wrong, by chance and on call.
 //!
 //! Chance is seeded: the same world with the same seed fails in the same places. Each direction has
-//! a [`FaultPlan`], and so may each node. By hand, at any time, and all on
-//! [`World`](super::World): cut and mend a wire, reset a station, slow it down, let it babble.
+//! a [`FaultPlan`], and so may each node. Functions of [`World`](super::World) cut and mend a wire, reset a station,
+//! slow it down and let it babble, at any time.
 //!
-//! Faults strike frames on CAN and messages on RS485. A message is what a node gives in one piece
+//! Faults strike frames on CAN and messages on RS485. A message is what a node returns in one piece
 //! or what a master writes in one call.
 
 use super::nanos::{Nanos, from_duration};
 use super::random::{Random, Stream};
 use myactuator_protocol_core::time::Duration;
 
-/// Which way a frame goes.
+/// The direction of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Direction {
     /// Sent by a master's port.
     ToNodes,
     /// Sent by a node.
     ToPorts,
-    /// What an [echoing](super::rs485::TransceiverConfig::echo) transceiver hands back to whoever sent it.
+    /// What an [echoing](super::rs485::TransceiverConfig::echo) transceiver hands back to its sender.
     Echo,
 }
 
 const DIRECTIONS: usize = 3;
 
-/// How likely is what. Probabilities are from 0 to 1; less is never, more is always.
+/// How likely each fault is. Probabilities are from 0 to 1; less is never, more is always.
 ///
-/// All but `corrupt` on CAN are drawn for each receiver by itself, as if its own transceiver,
-/// controller or adapter failed: a broadcast may reach some and not others, and an echo may break of
-/// what reaches all others. On the wire the frame takes its time in any case, and on CAN it is
+/// All faults except `corrupt` on CAN are drawn separately for each receiver, as if its own transceiver,
+/// controller or adapter failed: a broadcast may reach some and not others, and an echo may break although the message
+/// reaches all others. In any case the frame takes its time on the wire, and on CAN it is
 /// acknowledged.
 ///
 /// ```
@@ -40,31 +40,30 @@ const DIRECTIONS: usize = 3;
 pub struct FaultPlan {
     /// The frame does not arrive.
     pub lose: f32,
-    /// A bit is disturbed. On RS485 one bit of the message arrives flipped. On CAN everyone sees the
-    /// disturbance, which takes an error frame and a retransmission and is counted; it is drawn once
+    /// A bit is disturbed. On RS485 one bit of the message arrives flipped. On CAN all stations see the
+    /// disturbance, which takes an error frame and a retransmission, and is counted; it is drawn once
     /// for each attempt, by the plan of the sender's direction (or of the sending node).
     pub corrupt: f32,
     /// CAN only: the share of the corrupted frames that pass the CRC and so arrive with a flipped
-    /// data bit. On a real bus that practically never happens, so this is 0 unless a test asks what
-    /// a master makes of wrong data.
+    /// data bit. On a real bus that practically never happens, so leave this 0 unless a test is about wrong data.
     pub undetected: f32,
     /// The frame arrives twice.
     pub duplicate: f32,
-    /// The frame arrives late, as through a slow adapter. Those behind it wait, so that delay alone
-    /// changes no order.
+    /// The frame arrives late, as through a slow adapter. The frames after it wait, so that delay alone
+    /// does not change the order.
     pub delay: f32,
-    /// The least that a late frame is late.
+    /// The shortest delay of a late frame.
     pub delay_min: Duration,
-    /// The most that a late frame is late.
+    /// The longest delay of a late frame.
     pub delay_max: Duration,
-    /// The frame arrives behind the one that follows it.
+    /// The frame arrives after the next one.
     pub reorder: f32,
-    /// How long a reordered frame waits for one that follows. After that it arrives by itself.
+    /// How long a reordered frame waits for the next one. Then it arrives without it.
     pub reorder_hold: Duration,
 }
 
 impl FaultPlan {
-    /// No faults. Late would be 1 to 5 ms, and 10 ms the wait of a reordered frame.
+    /// No faults. A delay would be 1 to 5 ms, and a reordered frame would wait for 10 ms.
     pub const NONE: Self = Self {
         lose: 0.0,
         corrupt: 0.0,
@@ -87,7 +86,7 @@ impl FaultPlan {
 /// What a babbling station sends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Babble<F> {
-    /// Time from one frame to the next; a microsecond at least.
+    /// Time from one frame to the next; at least a microsecond.
     pub interval: Duration,
     /// The same frame again and again; `None` for random ones: on CAN any standard identifier, length
     /// and data, on RS485 1 to 16 bytes.

@@ -7,7 +7,7 @@ use super::random::Random;
 use super::trace::{Event, Observer, Record};
 
 /// A kind of bus: [`CanBus`](super::can::CanBus) or [`Rs485Line`](super::rs485::Rs485Line). Only
-/// this library can define one.
+/// this library can implement it.
 pub trait Medium: sealed::Bus {}
 
 /// Something complete on the wire: a CAN frame, or a byte of a message on the line.

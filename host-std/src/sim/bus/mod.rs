@@ -1,20 +1,20 @@
-//! Simulated buses: CAN and RS485 as they behave on the wire, with masters' ports and drives on them.
+//! Simulated buses: CAN and RS485 as they behave on the wire, with ports of masters and drives on them.
 //!
-//! The lowest part of [`sim`](super): it carries frames for whatever is a [`Node`], and knows neither
+//! This is the lowest part of [`sim`](super): it carries frames for every [`Node`], and knows neither
 //! drives nor physics.
 //!
 //! A [`World`] owns a clock, one bus and everything that is on it. It is a chain of discrete events:
 //! between two of them nothing happens, so a second of bus traffic is simulated in milliseconds, and
-//! one seed gives the same run bit for bit, every time.
+//! the same seed gives the same run, bit for bit.
 //!
 //! - [`can`]: arbitration, frame lengths by content, queues, error counters, bus-off.
 //! - [`rs485`]: a half-duplex line with byte times, direction switches, collisions and echo.
-//! - Bit rates: a station has the bus's until it is [given another](World::set_bit_rate) or its node
+//! - Bit rates: a station has the rate of the bus until it is [given another](World::set_bit_rate) or its node
 //!   [takes one](Node::bit_rate). Stations at different rates do not understand each other: on CAN they
 //!   break each other's frames, on RS485 they read noise.
 //! - [`faults`]: seeded loss, corruption, duplicates, delay, reordering, babble; wires cut and
 //!   mended, participants reset and slowed down.
-//! - [`trace`]: what was on the wire and what became of it, for tests that know the truth.
+//! - [`trace`]: what was on the wire and what became of it, for tests.
 //!
 //! Drives take part as [`Node`]s. Masters get ports, [`can::CanPort`] and [`rs485::SerialPort`],
 //! that implement the traits of embedded-can and embedded-io, blocking and async, and a [`SimClock`].

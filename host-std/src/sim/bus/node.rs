@@ -1,4 +1,4 @@
-//! Who is on a bus.
+//! The participants of a bus.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,17 +8,17 @@ use myactuator_protocol_core::time::Instant;
 ///
 /// `F` is what the bus carries: [`SimpleFrame`](myactuator_protocol_core::wire::can::SimpleFrame) on
 /// CAN, bytes on RS485 (`Vec<u8>`: received one byte at a time, each when it is complete on the
-/// line; sent in any lengths, one message a piece, because faults strike messages).
+/// line; sent in any lengths, each piece one message, because faults strike messages).
 ///
 /// After [`handle_frame`](Self::handle_frame), at [`poll_at`](Self::poll_at) and whenever its
 /// controller has room again, a node is asked with [`advance`](Self::advance) and then
 /// [`poll_transmit`](Self::poll_transmit) until that returns `None` or the controller is full.
 ///
-/// To keep a hand on a node, attach an `Arc<Mutex<N>>` of it. Its lock must not be held while the
+/// To keep access to a node, attach an `Arc<Mutex<N>>` of it. Its lock must not be held while the
 /// world runs.
 pub trait Node<F>: Send {
-    /// Whether it takes this frame from the bus, as a controller's acceptance filter says: what it does not
-    /// take is not handed to it, and it is not asked after it. All, unless implemented.
+    /// Whether it takes this frame from the bus, like the acceptance filter of a controller. A frame that it does not
+    /// take is not handed to it, and it is not asked after that frame. By default it takes all.
     fn accepts(&self, frame: &F) -> bool {
         let _ = frame;
         true
@@ -30,30 +30,30 @@ pub trait Node<F>: Send {
     /// What it wants to send now.
     fn poll_transmit(&mut self, now: Instant) -> Option<F>;
 
-    /// When to ask again; `None` for not before the next frame. A time that has passed is taken for
+    /// When to ask again; `None` for not before the next frame. A time that has passed counts as
     /// the next microsecond.
     fn poll_at(&self) -> Option<Instant>;
 
-    /// Lets its own time go on to `now`. Comes before each round of
+    /// Advances its own time to `now`. This is called before each round of
     /// [`poll_transmit`](Self::poll_transmit), also while the controller takes no more frames.
     fn advance(&mut self, now: Instant) {
         let _ = now;
     }
 
-    /// The bit rate that it speaks at from now on, bit/s. Asked after each [`advance`](Self::advance); a
-    /// change [starts its controller anew](super::World::set_bit_rate). `None`, unless implemented, for the
-    /// rate that its station has.
+    /// The bit rate at which it speaks from now on, bit/s. Called after each [`advance`](Self::advance); a
+    /// change [starts its controller anew](super::World::set_bit_rate). `None`, which is the default, for the
+    /// rate of its station.
     fn bit_rate(&self) -> Option<u32> {
         None
     }
 
-    /// Whether it has power: without, its controller is off the bus. Asked after each [`advance`](Self::advance),
-    /// for simulated drives every 10 ms at the least. It has, unless implemented.
+    /// Whether it has power; without power its controller is off the bus. Called after each [`advance`](Self::advance),
+    /// for simulated drives at least every 10 ms. `true` by default.
     fn is_powered(&self) -> bool {
         true
     }
 
-    /// Its power was cycled. Does nothing unless implemented; the controller is emptied in any case.
+    /// Its power was cycled. By default this does nothing; the controller is emptied in any case.
     fn reset(&mut self, now: Instant) {
         let _ = now;
     }

@@ -11,9 +11,9 @@ use myactuator_protocol_core::time::Instant;
 pub struct Record<F> {
     /// When, in nanoseconds since the world's start.
     pub at_ns: u64,
-    /// Whom it concerns: the sender for what is on the wire, the receiver for what reaches one.
+    /// The station that it concerns: the sender for what is on the wire, the receiver for what reaches one.
     pub station: StationId,
-    /// What it was.
+    /// What happened.
     pub event: Event<F>,
 }
 
@@ -27,7 +27,7 @@ impl<F> Record<F> {
 /// What can happen on a bus.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event<F> {
-    /// A frame (on RS485: a message) has been on the wire whole.
+    /// A whole frame (on RS485: a message) has been on the wire.
     Carried {
         /// The frame as it was sent.
         frame: F,
@@ -37,12 +37,12 @@ pub enum Event<F> {
     /// A frame (on RS485: a message) went wrong on the wire: a CAN error frame ended it, or it
     /// collided on the line.
     Broken {
-        /// The frame as it was to be.
+        /// The frame as it was meant.
         frame: F,
         /// When its first bit began, in nanoseconds.
         started_ns: u64,
     },
-    /// Nobody acknowledged a CAN frame.
+    /// No station acknowledged a CAN frame.
     Unacknowledged {
         /// The frame.
         frame: F,
@@ -51,9 +51,9 @@ pub enum Event<F> {
     },
     /// A fault struck what this station was to receive.
     Faulted {
-        /// Who sent it.
+        /// The sender.
         from: StationId,
-        /// What was done to it.
+        /// The fault.
         fault: Fault,
     },
     /// The station's receive queue was full, so the frame was lost.
@@ -71,9 +71,9 @@ pub enum Event<F> {
     Mended,
     /// The station was reset.
     Reset,
-    /// From now on what the station sends gets to its controller so many nanoseconds later.
+    /// From now on what the station sends reaches its controller so many nanoseconds later.
     Slowed(u64),
-    /// The station begins to babble, or ends it.
+    /// The station begins to babble, or ends that.
     Babbles(bool),
 }
 
@@ -88,18 +88,18 @@ pub enum Fault {
     Duplicated,
     /// It arrives late by so many nanoseconds.
     Delayed(u64),
-    /// It arrives behind the one that follows it.
+    /// It arrives after the next one.
     Reordered,
 }
 
 pub(crate) type Observer<F> = Box<dyn FnMut(&Record<F>) + Send>;
 
-/// A list of all that happens from its making on. Clones share the list.
+/// A list of all that happens from when it is made. Clones share the list.
 #[derive(Clone, Debug)]
 pub struct Log<F>(pub(super) Arc<Mutex<Vec<Record<F>>>>);
 
 impl<F> Log<F> {
-    /// Hands over what was noted so far and starts anew.
+    /// Returns what was noted so far, and starts anew.
     pub fn take(&self) -> Vec<Record<F>> {
         std::mem::take(&mut *lock(&self.0))
     }

@@ -57,17 +57,17 @@ struct Shared<B: Medium> {
     changed: Condvar,
 }
 
-/// A simulated bus with a clock of its own and everything that is on it. A handle: clones share the
+/// A simulated bus with a clock of its own and everything that is on it. This is a handle: clones share the
 /// world.
 ///
 /// In virtual time, which is the default, nothing happens between calls: the world goes on only in
 /// [`run_until`](Self::run_until) and [`step`](Self::step), in [`SimClock::idle`](Clock::idle), in the
 /// blocking calls of serial ports, and in [`block_on`](Self::block_on) while every task waits. Several
-/// masters may share it, in one thread: if several threads wait, each drives time on for all.
+/// masters may share it in one thread; if several threads wait, each advances time for all.
 ///
-/// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
-/// call, and may be used from any number of threads. Of what takes longer than half a second to make up for, the
-/// rest is left out: a simulation that is too slow goes on slowly.
+/// After [`in_real_time`](Self::in_real_time) it follows the wall clock, catches up with it in every
+/// call, and may be used from any number of threads. If catching up takes longer than half a second, the
+/// rest is skipped: a simulation that is too slow goes on slowly.
 ///
 /// Methods that take a [`StationId`] panic on one of another world that has more stations.
 pub struct World<B: Medium>(Arc<Shared<B>>);
@@ -157,7 +157,7 @@ impl<B: Medium> World<B> {
         result
     }
 
-    /// Has the world follow the wall clock from now on, for all who hold it.
+    /// Makes the world follow the wall clock from now on, for all its handles.
     pub fn in_real_time(self) -> Self {
         self.lock().follow_wall_clock();
         self
@@ -173,8 +173,7 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.around.now)
     }
 
-    /// When something happens next if nobody does anything, rounded up to microseconds; `None` for
-    /// never.
+    /// When something happens next on its own, rounded up to microseconds; `None` for never.
     pub fn next_event(&self) -> Option<Instant> {
         let next = self.with(|kernel| kernel.next_event());
         (next != NEVER).then(|| to_instant(next))
@@ -199,7 +198,7 @@ impl<B: Medium> World<B> {
         next != NEVER
     }
 
-    /// Ends the idling of this world's clocks, in whatever thread, as an arrival does.
+    /// Ends the idling of this world's clocks, in every thread, as an arrival does.
     pub fn wake(&self) {
         self.with(|kernel| kernel.arrivals += 1);
     }
@@ -228,24 +227,24 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.serve_now(node.0));
     }
 
-    /// What chance does to the frames of one direction from now on.
+    /// Sets what chance does to the frames of one direction from now on.
     pub fn set_faults(&self, direction: Direction, plan: FaultPlan) {
         self.with(|kernel| kernel.around.injector.set(direction, plan));
     }
 
-    /// What chance does to the frames to or from one node from now on, in place of the direction's
+    /// Sets what chance does to the frames to or from one node from now on, in place of the direction's
     /// plan; `None` for the direction's plan again.
     pub fn set_node_faults(&self, node: StationId, direction: Direction, plan: Option<FaultPlan>) {
         self.with(|kernel| kernel.around.injector.set_own(node.0, direction, plan));
     }
 
-    /// Cuts a station's wire: it is alone on its stub. A CAN frame that it is sending ends in an
-    /// error frame, a byte on RS485 is garbled. Nothing to do if it is cut already.
+    /// Cuts a station's wire: it is then alone on its stub. A CAN frame that it is sending ends in an
+    /// error frame; a byte on RS485 is garbled. Does nothing if the wire is cut already.
     pub fn cut(&self, station: StationId) {
         self.with(|kernel| kernel.cut(station.0, true));
     }
 
-    /// Mends a station's wire. It hears what begins after that. Nothing to do if it is not cut.
+    /// Mends a station's wire. The station hears what begins after that. Does nothing if the wire is not cut.
     pub fn mend(&self, station: StationId) {
         self.with(|kernel| kernel.cut(station.0, false));
     }
@@ -261,19 +260,19 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.reset(station.0));
     }
 
-    /// Sets the bit rate of a station, in bit/s; at first it is the bus's. If that is another than before,
-    /// its controller starts anew. A node with a [rate of its own](Node::bit_rate) keeps to that.
+    /// Sets the bit rate of a station, in bit/s; at first it is the bus's. If the rate changes,
+    /// its controller starts anew. A node with a [rate of its own](Node::bit_rate) keeps that.
     pub fn set_bit_rate(&self, station: StationId, bit_rate: u32) {
         self.with(|kernel| kernel.set_bit_rate(station.0, bit_rate));
     }
 
-    /// Slows a node down: all that it sends gets to its controller that much later.
-    /// [`Duration::ZERO`] for its own speed again.
+    /// Slows a node down: all that it sends reaches its controller that much later.
+    /// [`Duration::ZERO`] restores its own speed.
     pub fn slow_down(&self, node: StationId, by: Duration) {
         self.with(|kernel| kernel.slow_down(node.0, by));
     }
 
-    /// Has a station get what it hears in bursts, at multiples of this period only, as USB adapters hand it over;
+    /// Makes a station get what it hears in bursts, only at multiples of this period, as USB adapters hand it over;
     /// [`Duration::ZERO`] for at once again.
     pub fn hand_over_every(&self, station: StationId, period: Duration) {
         self.with(|kernel| kernel.hand_over_every(station.0, period));
@@ -284,8 +283,8 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.babble(station.0, babble));
     }
 
-    /// Calls `work` once a period of this world's time from now on, before the nodes have their turn; at least
-    /// a microsecond apart. It must not touch the world, which is in the middle of something.
+    /// From now on calls `work` once per period of this world's time (at least a microsecond), before the nodes have
+    /// their turn. It must not use the world, which is in the middle of something.
     pub fn every(&self, period: Duration, mut work: impl FnMut(Instant) + Send + 'static) {
         let period = period.max(Duration::from_micros(1));
         self.plan(period, move |_, now| {
@@ -307,12 +306,12 @@ impl<B: Medium> World<B> {
         });
     }
 
-    /// How much is to be done at its time: faults that wait, and what is done [every](Self::every) period.
+    /// How many works are planned: faults that wait, and work that is done [every](Self::every) period.
     pub fn planned(&self) -> usize {
         self.with(|kernel| kernel.planned.len())
     }
 
-    /// Calls `observer` for everything that happens from now on. It must not touch the world, which
+    /// Calls `observer` for everything that happens from now on. It must not use the world, which
     /// is in the middle of something.
     pub fn observe(&self, observer: impl FnMut(&Record<B::Frame>) + Send + 'static) {
         self.with(|kernel| kernel.around.observers.push(Box::new(observer)));
@@ -331,11 +330,11 @@ impl<B: Medium> World<B> {
 
 /// A world's clock, for masters.
 ///
-/// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. Both end early
-/// as soon as something arrives at one of the world's ports, or one of them has room again for what
-/// it had refused, since this clock last looked. Each master has a clock of its own.
+/// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. In both cases it ends early
+/// if, since this clock last looked, something has arrived at one of the world's ports, or one of them has room again
+/// for what it had refused. Each master has a clock of its own.
 ///
-/// Tasks wait by [`wait_until`](AsyncClock::wait_until), within [`World::block_on`].
+/// Tasks wait with [`wait_until`](AsyncClock::wait_until), within [`World::block_on`].
 #[derive(Debug)]
 pub struct SimClock<B: Medium> {
     world: World<B>,

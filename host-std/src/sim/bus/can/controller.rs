@@ -24,10 +24,10 @@ pub(super) const COMMON_WIRE: usize = 0;
 /// Which frame of a transmit queue goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QueueOrder {
-    /// The oldest, as SocketCAN does it. An important frame waits behind the others.
+    /// The oldest, as in SocketCAN. An important frame waits for the others.
     Fifo,
-    /// The one with the highest priority on the bus, the oldest of equals, as mailboxes do it. When
-    /// all are taken, a frame of lower priority gives way to a new one; see
+    /// The one with the highest priority on the bus, or the oldest of equal ones, as with mailboxes. If
+    /// all mailboxes are taken, a new frame replaces one of lower priority; see
     /// [`embedded_can::nb::Can::transmit`].
     Priority,
 }
@@ -35,11 +35,11 @@ pub enum QueueOrder {
 /// A CAN controller's properties.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ControllerConfig {
-    /// How many frames can wait for the bus, the one on the wire included. 0 counts as 1.
+    /// How many frames can wait for the bus, including the one on the wire. 0 counts as 1.
     pub transmit_queue: usize,
     /// Which of them goes first.
     pub order: QueueOrder,
-    /// How many frames can wait to be read. What comes then is lost, and counted. A
+    /// How many frames can wait to be read. Further frames are lost, and counted. A
     /// [`Node`](crate::sim::bus::Node) takes its frames at once and needs no such queue.
     pub receive_queue: usize,
 }
@@ -53,7 +53,7 @@ impl ControllerConfig {
         Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64 };
 }
 
-/// How a controller stands towards the bus (fault confinement of ISO 11898-1).
+/// The error state of a controller (fault confinement of ISO 11898-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorState {
     /// Takes part fully.
@@ -65,14 +65,14 @@ pub enum ErrorState {
     BusOff,
 }
 
-/// What a controller tells of itself.
+/// The status of a controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ControllerStatus {
     /// Transmit error count: 8 more for a failed frame, 1 less for a good one.
     pub transmit_errors: u16,
     /// Receive error count: 1 more for a broken frame, 1 less for a good one.
     pub receive_errors: u16,
-    /// What follows from them.
+    /// The state that follows from them.
     pub state: ErrorState,
     /// Frames that wait for the bus, the one on the wire included.
     pub queued: usize,

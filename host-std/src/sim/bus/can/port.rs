@@ -8,7 +8,7 @@ use super::CanBus;
 use crate::sim::bus::Port;
 use crate::sim::bus::kernel::Kernel;
 
-/// What a port's calls can fail with.
+/// The errors of a port's calls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CanError {
     /// The controller counted too many errors and takes no frames until it has recovered.
@@ -27,8 +27,8 @@ impl embedded_can::Error for CanError {
 
 /// A master's port on a simulated CAN bus, with a controller of its own.
 ///
-/// No time passes in its calls. In virtual time, a loop that does nothing but poll would therefore
-/// poll forever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls. As an [`AsyncCan`] it
+/// No time passes in its calls. So in virtual time a loop that only polls would
+/// poll for ever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls. As an [`AsyncCan`] it
 /// waits, and [`World::block_on`](crate::sim::bus::World::block_on) lets time go on meanwhile.
 pub type CanPort = Port<CanBus>;
 

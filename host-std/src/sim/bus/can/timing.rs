@@ -17,8 +17,8 @@ pub(crate) const INTERMISSION: u32 = 3;
 const UNSTUFFED_TAIL: u32 = 1 + 1 + AFTER_ACKNOWLEDGE + INTERMISSION;
 const CRC: Crc<u16> = Crc::<u16>::new(&CRC_15_CAN);
 
-/// The length of a frame in bits, from the start of frame through the intermission: how long it
-/// keeps a bus busy. Stuff bits are counted on the actual content.
+/// The length of a frame in bits, from the start of frame through the intermission: the time for which it
+/// keeps a bus busy. Stuff bits are counted from the actual content.
 ///
 /// ```
 /// use embedded_can::{Frame, StandardId};

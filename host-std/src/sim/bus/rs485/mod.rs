@@ -1,19 +1,19 @@
-//! A half-duplex RS485 line: one pair of wires, one sender at a time, and nobody to see to that.
+//! A half-duplex RS485 line: one pair of wires, for one sender at a time, which nothing enforces.
 //!
 //! What is modelled:
 //!
 //! - A byte lasts ten bits (8N1). It arrives when its stop bit is over.
 //! - A station needs a time to switch to sending before its first bit, and a time to switch back
-//!   behind its last, in which its driver still holds the line. It listens to nothing meanwhile,
+//!   after its last, in which its driver still holds the line. Meanwhile it does not listen,
 //!   unless it [echoes](TransceiverConfig::echo). What is queued meanwhile follows without a gap.
-//! - Nobody looks whether the line is free. A byte that is on the line while another station's
-//!   driver is on as well arrives garbled, as a random byte. A receiver takes ten bits from the
-//!   first start bit for one byte, so two overlapping bytes are heard as one; if the line is in the
-//!   middle of a byte then, the next one that is heard is garbled too, and so on up to a pause.
-//! - A cut station's bytes reach nobody but its own echo, which no fault strikes, and nobody reaches it.
-//! - A station at another bit rate reads a message as it samples it at its own: other bytes, and more or
-//!   fewer. Simplified: they come together, with the message's last byte, no fault strikes them, and a
-//!   message that collided is read as it was sent.
+//! - No station checks whether the line is free. A byte that is on the line while another station's
+//!   driver is on as well arrives garbled, as a random byte. For a receiver the ten bits from the
+//!   first start bit are one byte, so two overlapping bytes are heard as one. If the line is then in the
+//!   middle of a byte, the next byte that is heard is garbled, too, and so on up to a pause.
+//! - The bytes of a cut station reach only its own echo, which no fault strikes, and nothing reaches the station.
+//! - A station at another bit rate samples a message at its own rate: it reads other bytes, and more or
+//!   fewer. Simplified: they come together, with the message's last byte; no fault strikes them; and a
+//!   message that has collided is read as it was sent.
 //!
 //! Not modelled: parity and framing errors (a garbled byte is a wrong byte, and so is one without its stop
 //! bit), reflections.
@@ -34,26 +34,26 @@ pub type SerialWorld = World<Rs485Line>;
 /// A station's transceiver and buffers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TransceiverConfig {
-    /// From having something to send to the first start bit.
+    /// Time from when there is something to send to the first start bit.
     pub switch_to_send: Duration,
-    /// From the last stop bit until the driver lets go of the line and the station listens.
+    /// Time from the last stop bit until the driver lets go of the line and the station listens.
     pub switch_to_receive: Duration,
-    /// Whether it hears the line while it sends, its own bytes included, as many USB adapters do. Faults of
-    /// [their own](super::faults::Direction::Echo) strike these.
+    /// Whether it hears the line while it sends, including its own bytes, as many USB adapters do. Separate faults
+    /// ([`Direction::Echo`](super::faults::Direction::Echo)) strike these.
     pub echo: bool,
-    /// How likely each switch of direction makes the station hear a random byte that nobody sent,
+    /// How likely the station hears a random byte that was never sent at each switch of direction,
     /// from 0 to 1.
     pub switch_noise: f32,
-    /// How many bytes can wait to be sent, the one on the line included. 0 counts as 1. A
-    /// node's message is taken whole when there is room for its first byte.
+    /// How many bytes can wait to be sent, including the one on the line. 0 counts as 1. The
+    /// message of a node is taken whole if there is room for its first byte.
     pub transmit_buffer: usize,
-    /// How many bytes can wait to be read. What comes then is lost, and counted. A [`Node`] takes
+    /// How many bytes can wait to be read. Further bytes are lost, and counted. A [`Node`] takes
     /// its bytes at once and needs no such buffer.
     pub receive_buffer: usize,
 }
 
 impl Default for TransceiverConfig {
-    /// Switches at once, hears nothing of itself, and buffers 4096 bytes each way, as Linux does.
+    /// Switches at once, does not hear itself, and buffers 4096 bytes in each direction, as Linux does.
     fn default() -> Self {
         Self {
             switch_to_send: Duration::ZERO,
@@ -67,8 +67,8 @@ impl Default for TransceiverConfig {
 }
 
 impl World<Rs485Line> {
-    /// A world with an empty line of this bit rate in bit/s, at time 0. All chance in it comes from
-    /// `seed`.
+    /// A world with an empty line of this bit rate in bit/s, at time 0. `seed` determines everything that happens by
+    /// chance.
     pub fn new(bit_rate: u32, seed: u64) -> Self {
         Self::with_medium(Rs485Line::new(bit_rate, seed), seed)
     }

@@ -13,10 +13,10 @@ use crate::sim::bus::waiting::Awaited;
 /// How long calls wait.
 const GIVE_UP: Duration = Duration::from_secs(1);
 
-/// What a port's calls can fail with.
+/// The errors of a port's calls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
-    /// Nothing came, or nothing went, for a second.
+    /// For a second nothing came, or nothing could be sent.
     #[error(
         "expected bytes on the line, found none within {GIVE_UP}: check that somebody answers, or wait \
          longer"
@@ -35,12 +35,12 @@ impl embedded_io::Error for SerialError {
 /// What one call of `write` takes is one message, which faults strike as a whole. Messages that are
 /// written before the line is idle again follow each other without a gap.
 ///
-/// Its blocking calls let time go on until they have what they want, but not longer than a second. The
-/// async ones wait for as long as it takes, and may be dropped: what has arrived is for the next call.
+/// Its blocking calls let time go on until they are done, but for at most a second. The
+/// async ones wait for as long as it takes, and may be dropped: what has arrived is left for the next call.
 pub type SerialPort = Port<Rs485Line>;
 
 impl SerialPort {
-    /// How many received bytes were lost because nobody had read those before.
+    /// How many received bytes were lost because earlier ones had not been read.
     pub fn overflows(&self) -> u64 {
         self.world.with(|kernel| kernel.received(self.station.0).1)
     }
