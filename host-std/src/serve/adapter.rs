@@ -12,12 +12,12 @@ use super::{End, Notice, ServeError};
 use crate::sim::bus::can::{CanPort, ControllerStatus, ErrorState};
 use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer};
 
-/// Hardware version 1.0, software version 1.3: what widespread adapters tell.
+/// Hardware version 1.0, software version 1.3, as widespread adapters report.
 const VERSION: [u8; 4] = *b"1013";
 const SERIAL_NUMBER: [u8; 4] = *b"SIM1";
 /// Error counts from here on are reported as a warning.
 const WARNING_FROM: u16 = 96;
-/// Time stamps start again after so many milliseconds.
+/// Time stamps start again from 0 after so many milliseconds.
 const STAMPS_MS: u64 = 60_000;
 
 /// A serial port at one end, an adapter on the simulated bus at the other.
@@ -27,7 +27,7 @@ pub(super) struct AdapterEnd {
     /// The name of the bus.
     bus: String,
     adapter: Adapter,
-    /// Written by a program, and not yet looked at.
+    /// Written by a program, and not decoded yet.
     unread: VecDeque<u8>,
 }
 
@@ -101,7 +101,7 @@ enum Channel {
 enum Waiting {
     /// The program waits for the answer.
     Unanswered(SimpleFrame),
-    /// The program was told that it is taken; a more urgent one has pushed it out of its mailbox.
+    /// The program has got the answer that it is taken; then a more urgent frame has pushed it out of its mailbox.
     PushedOut(SimpleFrame),
 }
 
@@ -109,9 +109,9 @@ enum Waiting {
 #[derive(Debug)]
 struct Adapter {
     port: CanPort,
-    /// What the bus runs at, in bit/s. So does a closed adapter, which disturbs nobody.
+    /// The bit rate of the bus, in bit/s. A closed adapter runs at it, too, so as not to disturb the bus.
     bit_rate: u32,
-    /// What the program wants.
+    /// The bit rate that the program wants.
     asked: u32,
     codec: AdapterCodec,
     channel: Channel,
@@ -136,8 +136,8 @@ impl Adapter {
         }
     }
 
-    /// Takes a byte from the program, if it [can](Self::is_ready). Gives the bit rate at which the program
-    /// opens it if the bus does not have that.
+    /// Takes a byte from the program, if it [can](Self::is_ready). If the program opens the adapter at another bit
+    /// rate than the bus's, returns that.
     fn feed(&mut self, byte: u8) -> Option<u32> {
         let command = self.codec.feed(byte)?;
         let before = self.channel;
@@ -177,7 +177,7 @@ impl Adapter {
 
     fn turn(&mut self, channel: Channel) -> Answer {
         self.channel = channel;
-        // Who only listens signals no errors, at whatever rate.
+        // A station that only listens signals no errors, at any rate.
         let bit_rate = if channel == Channel::Open { self.asked } else { self.bit_rate };
         self.port.world().set_bit_rate(self.port.station(), bit_rate);
         Answer::Done
@@ -192,7 +192,7 @@ impl Adapter {
         self.port.world().controller(self.port.station())
     }
 
-    /// Whether nothing waits: gives a frame that does to the controller, if that has room now. Where nothing
+    /// Hands a waiting frame to the controller, if that has room now; returns whether none waits any more. If nothing
     /// leaves the controller, a frame that finds no room is refused.
     fn is_ready(&mut self) -> bool {
         while let Some(Waiting::Unanswered(frame) | Waiting::PushedOut(frame)) = self.waiting {
@@ -214,9 +214,9 @@ impl Adapter {
         true
     }
 
-    /// Tells the program of the frames from the bus.
+    /// Reports the frames from the bus to the program.
     fn receive(&mut self) {
-        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        // What comes meanwhile waits for the next call: on a slow computer there would be no end of it.
         for _ in 0..self.status().received {
             let Ok(frame) = self.port.receive() else { break };
             let hears = match self.channel {

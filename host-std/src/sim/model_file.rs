@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::plant::{MotorParameters, ParameterError};
 
-/// The model of this name, or, if that ends in `.toml`, in the file of this name in `folder`.
+/// The model of this name or, if the name ends in `.toml`, the model in that file in `folder`.
 ///
 /// # Errors
 /// One sentence: what was expected, and what was found.
@@ -26,7 +26,7 @@ pub fn named_model(name: &str, folder: impl AsRef<Path>) -> Result<MotorParamete
     })
 }
 
-/// The line of a text in which this byte is, from 1.
+/// The number of the line of a text in which this byte is, from 1.
 pub(super) fn line_of(text: &str, at: usize) -> usize {
     let before = text.as_bytes().get(..at).unwrap_or_default();
     before.iter().filter(|&&byte| byte == b'\n').count() + 1
@@ -39,8 +39,8 @@ pub(super) fn of_toml(text: &str, error: &toml::de::Error) -> (usize, String) {
     (line_of(text, at), in_plain_words(&what).unwrap_or(what))
 }
 
-/// What was expected and what was found where serde names a type of this program, in words of whoever writes a
-/// file or a request.
+/// What was expected and what was found, in the words of a person who writes a file or a request, if serde names a type
+/// of this program.
 pub(crate) fn in_plain_words(what: &str) -> Option<String> {
     let (found, expected) = what
         .strip_prefix("invalid type: ")

@@ -1,11 +1,11 @@
-//! The drives' quirks by name, as people write them on a command line and in files.
+//! The quirks of drives by name, as people write them on a command line and in files.
 
 use myactuator_protocol_core::drive::Quirks;
 use serde_json::{Map, Value};
 
 use crate::Unexpected;
 
-/// The names of all [`Quirks`]: those of its fields with `-` for `_`, such as "slow-boot".
+/// The names of all [`Quirks`]: those of the fields, with `-` for `_`, such as "slow-boot".
 pub fn quirk_names() -> Vec<String> {
     let fields = match serde_json::to_value(Quirks::default()) {
         Ok(Value::Object(fields)) => fields,
@@ -25,7 +25,7 @@ pub fn quirk_names() -> Vec<String> {
 /// ```
 ///
 /// # Errors
-/// [`Unexpected`] lists the names there are.
+/// [`Unexpected`], which lists all names.
 pub fn quirks_named<N: AsRef<str>>(
     names: impl IntoIterator<Item = N>,
 ) -> Result<Quirks, Unexpected> {

@@ -16,16 +16,16 @@ const POWER_CYCLE: Duration = Duration::from_millis(1);
 pub(super) struct Seat {
     pub(super) drive: SimulatedDrive,
     pub(super) receiver: Receiver,
-    /// Where its shaft is kept, if that is to outlive the process.
+    /// The file with the place of its shaft, if that is to outlive the process.
     pub(super) shaft: Option<ShaftFile>,
     /// Whether mechanics lead its shaft.
     pub(super) is_led: bool,
-    /// When its supply comes back, while that is cycled.
+    /// When its supply comes back, while its power is cycled.
     pub(super) off_until: Option<Instant>,
 }
 
 impl Drop for Seat {
-    /// The supply goes with the simulation: a drive keeps its turns then, and the shaft is where it is.
+    /// The supply goes off with the simulation: then a drive stores its turns, and the place of the shaft is noted.
     fn drop(&mut self) {
         if let Some(shaft) = &mut self.shaft {
             self.drive.power_off(self.drive.clock());
@@ -35,7 +35,7 @@ impl Drop for Seat {
 }
 
 impl Seat {
-    /// Lets the drive's own time go on to `now`, however far that is.
+    /// Advances the drive's own time to `now`, however far that is.
     pub(super) fn catch_up(&mut self, now: Instant) {
         if let Some(on) = self.off_until.take_if(|on| *on <= now) {
             self.advance_to(on);
@@ -74,7 +74,7 @@ impl Seat {
 
 impl Node<SimpleFrame> for Seat {
     fn accepts(&self, frame: &SimpleFrame) -> bool {
-        // A new id may act from this instant on, which the drive does not know before it has the frame.
+        // A new id may take effect at this instant, which the drive does not know before it has the frame.
         let may_change = self.drive.stored_settings().id != self.drive.id();
         // Real drives ignore short, remote and foreign frames.
         matches!(can::decode(frame), can::Received::Packet(packet)

@@ -1,4 +1,4 @@
-//! Where a drive's shaft is, in a file beside the drive's memory: the next process finds the joint where this one
+//! The place of a drive's shaft, in a file beside the drive's memory: the next process finds the joint where this one
 //! has left it.
 
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use super::memory::{self, StoreError};
 use super::plant::ShaftPlace;
 
-/// How often a shaft that turns is noted, for a process that is killed.
+/// How often the place of a turning shaft is noted, in case the process is killed.
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// The file, and what it holds.
@@ -30,7 +30,7 @@ impl ShaftFile {
         self.kept
     }
 
-    /// Notes where it is now and then.
+    /// Notes the place of the shaft, but not too often.
     pub(super) fn follow(&mut self, place: ShaftPlace, now: Instant) {
         if now >= self.next {
             self.next = now + INTERVAL;
@@ -38,7 +38,8 @@ impl ShaftFile {
         }
     }
 
-    /// Notes where it is. Who cannot write it here could not keep a drive's settings either, which is reported.
+    /// Notes the place of the shaft. If it cannot be written here, the settings of a drive could not be stored either,
+    /// which is reported.
     pub(super) fn keep(&mut self, place: ShaftPlace) {
         if Some(place) != self.kept && memory::store_unflushed(&self.path, &place).is_ok() {
             self.kept = Some(place);

@@ -11,14 +11,14 @@ use super::planned_fault::Chance;
 use super::seat::Seat;
 use super::{BusFleet, DriveHandle, FaultKind, PlannedFault};
 
-/// How often conditions are looked at.
+/// How often conditions are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
-/// Both ways, where a fault names none.
+/// Both directions, for a fault that names none.
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 impl<B: Medium> BusFleet<B> {
-    /// Plans what goes wrong with these drives, its time counted from now. What is due at once strikes as soon as
-    /// time goes on. Strikes nobody if no drive has started with the id that it names.
+    /// Plans a fault of these drives; its time counts from now. A fault that is due at once strikes as soon as
+    /// time goes on. If no drive has started with the id that it names, it strikes nothing.
     pub fn plan(&self, fault: PlannedFault) {
         let is_named = |it: &&DriveHandle| fault.motor.is_none_or(|motor| motor == it.motor());
         let named = self.drives.iter().filter(is_named);
@@ -28,7 +28,7 @@ impl<B: Medium> BusFleet<B> {
             self.world.plan(fault.after, move |kernel, now| strike.look(kernel, now));
         };
         if fault.condition.is_some() {
-            // Drives that share an id come to something each by itself.
+            // Drives that share an id meet the condition separately.
             named.into_iter().for_each(|drive| add(vec![drive]));
         } else {
             add(named);
@@ -39,12 +39,12 @@ impl<B: Medium> BusFleet<B> {
 /// A fault that waits.
 struct Strike {
     fault: PlannedFault,
-    /// Those that it strikes. No handles: these hold the world, which holds this.
+    /// The drives that it strikes. No handles: these hold the world, which holds this.
     drives: Vec<(StationId, Arc<Mutex<Seat>>)>,
 }
 
 impl Strike {
-    /// Strikes, or gives how long it is until the next look.
+    /// Strikes, or returns the time until the next check.
     fn look<B: Medium>(&self, kernel: &mut Kernel<B>, now: Instant) -> Option<Duration> {
         if self.waits(now) {
             return Some(LOOK_EVERY);
@@ -96,7 +96,7 @@ impl Strike {
         }
     }
 
-    /// Changes what chance does, and leaves what it did so far.
+    /// Adds to what chance does, and keeps the rest.
     fn change_chance<B: Medium>(&self, kernel: &mut Kernel<B>, chance: Chance) {
         let PlannedFault { motor, direction, .. } = self.fault;
         let ways = direction.as_ref().map_or(&DIRECTIONS[..], std::slice::from_ref);

@@ -8,7 +8,7 @@ use crate::serve::hosted::Hosted;
 use crate::sim::PlannedFault;
 use crate::sim::plant::{SimulatedMotor, Supply};
 
-/// What requests work on.
+/// The buses on which requests work.
 #[derive(Debug)]
 pub(in crate::serve) struct Scene<'a> {
     pub(in crate::serve) hosts: &'a mut [Box<dyn Hosted>],
@@ -17,16 +17,16 @@ pub(in crate::serve) struct Scene<'a> {
 /// So many faults may wait on a bus for their time or their condition.
 const MOST_PLANNED: usize = 1_000;
 
-/// It would be where they have it again at once.
+/// Mechanics would put it back at once.
 const LED: &str = "expected a shaft that its motor and its load move, found one that mechanics move: turn it there";
 
 type Done<T = Value> = Result<T, String>;
 
 impl Scene<'_> {
-    /// Does what is asked, all but [`Request::Log`] and [`Request::Advance`]. Gives the answer.
+    /// Carries out a request, except [`Request::Log`] and [`Request::Advance`]. Returns the answer.
     ///
     /// # Errors
-    /// A sentence. Nothing has changed then.
+    /// A sentence; then nothing has changed.
     pub(in crate::serve) fn carry_out(&mut self, request: Request) -> Done {
         match request {
             Request::Time {} | Request::Log {} | Request::Advance { .. } => {}
@@ -106,7 +106,7 @@ impl Scene<'_> {
         Ok(self.time())
     }
 
-    /// Changes the supplies that motors have each for itself, or those that they share.
+    /// Changes the supplies of single motors, and those that motors share.
     fn change_supply(
         &mut self,
         bus: Option<String>,
@@ -135,12 +135,12 @@ impl Scene<'_> {
         })
     }
 
-    /// When it is.
+    /// The simulated time.
     pub(super) fn time(&self) -> Value {
         json!({ "at_us": self.hosts.first().map_or(0, |host| host.now().as_micros()) })
     }
 
-    /// Where the buses are that are meant: all if none is named, and those with the motor that is.
+    /// The places of the buses that are meant: the named one or all, of these the ones that have the named motor.
     fn places(&self, bus: Option<&str>, motor: Option<MotorId>) -> Done<Vec<usize>> {
         let names: Vec<&str> = self.hosts.iter().map(|host| host.name()).collect();
         let is_meant = |name: &str| bus.is_none_or(|bus| bus == name);
@@ -168,7 +168,7 @@ impl Scene<'_> {
         }
     }
 
-    /// Changes the motors that are meant, or none of them if one of them cannot be changed so.
+    /// Changes the motors that are meant, or none if the change is refused for one of them.
     fn change(
         &mut self,
         bus: Option<String>,

@@ -9,7 +9,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 /// The longest line, bytes.
 pub(super) const LONGEST_LINE: usize = 64 * 1024;
-/// With more than this to be read a client is asked nothing more, and the log is left out for it, bytes.
+/// While a client has more than this to read, bytes, its requests are not read, and the log is left out for it.
 const MOST_UNREAD: usize = 256 * 1024;
 
 #[derive(Debug)]
@@ -18,7 +18,7 @@ pub(super) struct Client {
     received: VecDeque<u8>,
     unread: VecDeque<u8>,
     state: State,
-    /// Since when the log is reported, and how many records were left out since the last one.
+    /// If the log is reported, how many records were left out since the last one.
     pub(super) log: Option<u32>,
 }
 
@@ -29,7 +29,7 @@ enum State {
     Waiting,
     /// It sends nothing more, and gets the log until it has left.
     Listening,
-    /// It sends nothing more, or what it sends is no use: it gets its answers still.
+    /// It sends nothing more, or nothing that makes sense. It still gets its answers.
     Leaving,
     Gone,
 }
@@ -45,7 +45,7 @@ impl Client {
         self.state == State::Gone || (self.state == State::Leaving && self.unread.is_empty())
     }
 
-    /// Notices if it has left while nobody reads from it: it waits for its answer, or only listens.
+    /// Notices if it has left while nothing is read from it: it waits for its answer, or only listens.
     pub(super) fn look(&mut self) {
         let mut end = [PollFd::new(&self.stream, PollFlags::empty())];
         let is_up = poll(&mut end, Some(&Timespec::default())).is_ok_and(|count| count > 0);
@@ -66,7 +66,7 @@ impl Client {
         (self.stream.as_fd(), flags)
     }
 
-    /// Whether it may ask something now.
+    /// Whether its requests are read now.
     fn is_heard(&self) -> bool {
         self.state == State::Talking && self.unread.len() <= MOST_UNREAD
     }
@@ -80,7 +80,7 @@ impl Client {
         self.is_heard() && self.has_line()
     }
 
-    /// The next line, if one is complete. The next comes when this is [answered](Self::answer).
+    /// The next line, if one is complete. After it no line comes until it is [answered](Self::answer).
     pub(super) fn next(&mut self) -> Option<Result<Vec<u8>, String>> {
         if !self.is_heard() {
             return None;
@@ -123,7 +123,7 @@ impl Client {
         }
     }
 
-    /// Answers what it asked last.
+    /// Answers its last request.
     pub(super) fn answer(&mut self, line: &str) {
         if self.state == State::Waiting {
             self.state = State::Talking;
@@ -146,7 +146,7 @@ impl Client {
         self.send(line);
     }
 
-    /// As soon as it reads again: there may be nothing more to tell for long.
+    /// Says how many records were left out as soon as the client reads again: the next record may take long.
     fn report_left_out(&mut self) {
         if self.unread.len() <= MOST_UNREAD
             && let Some(left_out) = self.log.as_mut().map(std::mem::take).filter(|&it| it > 0)
@@ -155,7 +155,7 @@ impl Client {
         }
     }
 
-    /// Sends what it has room for.
+    /// Sends what there is room for.
     pub(super) fn flush(&mut self) {
         while !self.unread.is_empty() && self.state != State::Gone {
             match self.stream.write(self.unread.as_slices().0) {

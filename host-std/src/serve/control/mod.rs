@@ -22,7 +22,7 @@ pub(super) use carry_out::Scene;
 use client::Client;
 pub(super) use request::Request;
 
-/// So many programs may be there at once; more wait until one leaves.
+/// So many programs may use the socket at the same time; more wait until one leaves.
 const MOST_CLIENTS: usize = 64;
 
 /// The socket, and the programs at it.
@@ -32,7 +32,7 @@ pub(super) struct Control {
     path: PathBuf,
     /// Device and inode of the socket's file.
     file: (u64, u64),
-    /// So that two that start at once do not both replace what a killed one has left.
+    /// Keeps two simulations that start at the same time from both replacing what a killed one has left.
     _claim: Claim,
     clients: Vec<Numbered>,
     next_number: u64,
@@ -45,10 +45,10 @@ struct Numbered {
 }
 
 impl Control {
-    /// A socket at this path, in place of one that a simulation has left there when it was killed.
+    /// Opens a socket at this path. One that a killed simulation has left there is replaced.
     ///
     /// # Errors
-    /// A sentence; also if another simulation has it.
+    /// A sentence; also if another simulation has the socket.
     pub(super) fn open(path: &Path) -> Result<Self, String> {
         let told = |error: io::Error| {
             format!("the control socket {} cannot be made: {error}", path.display())
@@ -65,7 +65,7 @@ impl Control {
                 return Err(told(io::Error::other("something that is no socket has this name")));
             }
             match UnixStream::connect(path) {
-                // Nobody listens: it was left.
+                // Nothing listens: it was left.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(error) => return Err(told(error)),
                 Ok(_) => return Err(another()),
@@ -87,12 +87,12 @@ impl Control {
         listener.into_iter().chain(self.clients.iter().map(|it| it.client.source()))
     }
 
-    /// Whether somebody has asked something already.
+    /// Whether a request is there already.
     pub(super) fn is_ready(&self) -> bool {
         self.clients.iter().any(|it| it.client.is_ready())
     }
 
-    /// Lets new programs in and sees off those that have left.
+    /// Lets new programs in, and removes those that have left.
     pub(super) fn admit(&mut self) {
         for it in &mut self.clients {
             it.client.flush();
@@ -102,7 +102,7 @@ impl Control {
         while self.clients.len() < MOST_CLIENTS
             && let Ok((stream, _)) = self.listener.accept()
         {
-            // One that cannot be read has left.
+            // A program that cannot be read from has left.
             if let Ok(client) = Client::new(stream) {
                 self.clients.push(Numbered { number: self.next_number, client });
                 self.next_number += 1;
@@ -110,8 +110,7 @@ impl Control {
         }
     }
 
-    /// What programs ask next, each one thing, with the program's number. All want an
-    /// [answer](Self::answer).
+    /// The next request of each program, with the program's number. Each needs an [answer](Self::answer).
     pub(super) fn next_requests(&mut self) -> Vec<(u64, Result<Request, String>)> {
         let next = |Numbered { number, client }: &mut Numbered| {
             let line = client.next()?;
@@ -147,7 +146,7 @@ impl Control {
         self.clients.iter_mut().find(|it| it.number == number).map(|it| &mut it.client)
     }
 
-    /// Reports to those who want to know.
+    /// Reports a record to the programs that have asked for the log.
     pub(super) fn report(&mut self, record: &LogRecord) {
         let mut line = None;
         for it in self.clients.iter_mut().filter(|it| it.client.log.is_some()) {
@@ -158,7 +157,7 @@ impl Control {
 
 impl Drop for Control {
     fn drop(&mut self) {
-        // Another may have put its own there.
+        // Another simulation may have put its own socket there.
         let found = fs::symlink_metadata(&self.path).map(|found| (found.dev(), found.ino()));
         if found.is_ok_and(|found| found == self.file) {
             let _ = fs::remove_file(&self.path);

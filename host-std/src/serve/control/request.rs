@@ -1,4 +1,4 @@
-//! What can be asked for.
+//! The requests.
 
 use myactuator_protocol_core::MotorId;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -73,7 +73,7 @@ pub(in crate::serve) enum Request {
     },
 }
 
-/// What is given, also as `null`; what is not given is `None`.
+/// `Some` for a key that is given, also as `null`; without the key the field is `None`.
 fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error> {
@@ -103,7 +103,7 @@ impl Request {
     }
 }
 
-/// What is wrong, without the names of this program's types.
+/// Says what is wrong, without the names of this program's types.
 fn in_plain_words_of_json(error: &serde_json::Error) -> String {
     let whole = error.to_string();
     let (what, place) = whole.rsplit_once(" at line ").unwrap_or((&whole, ""));
@@ -112,7 +112,7 @@ fn in_plain_words_of_json(error: &serde_json::Error) -> String {
     plain.map_or(whole.clone(), |plain| format!("{plain} at line {place}"))
 }
 
-/// What is there in place of an object with one key and an object, if that is what is wrong.
+/// Says what was found in place of an object with one key whose value is an object, if that is what is wrong.
 fn found_instead(line: &[u8]) -> Option<String> {
     let found: Value = serde_json::from_slice(line).ok()?;
     let Value::Object(keys) = &found else { return Some(format!("found {found}")) };

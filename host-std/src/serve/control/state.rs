@@ -1,4 +1,4 @@
-//! How things truly are, in JSON.
+//! The true state, in JSON.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
@@ -14,13 +14,13 @@ pub(in crate::serve) struct BusState {
     pub(in crate::serve) bus: String,
     pub(in crate::serve) bit_rate: u32,
     pub(in crate::serve) traffic: Traffic,
-    /// What the motors share, if they do.
+    /// The supply that the motors share, if they do.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply: Option<Supply>,
-    /// Of that, between the motors' cables.
+    /// The voltage of that supply between the motors' cables.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply_voltage_v: Option<f64>,
-    /// Why mechanics have failed, the first reason. The shafts that they led stand until they are handed back.
+    /// The first reason why mechanics have failed. The shafts that they led stand until they are handed back.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) mechanics_failure: Option<String>,
     pub(in crate::serve) motors: Vec<MotorState>,
@@ -33,11 +33,11 @@ pub(in crate::serve) struct Traffic {
     pub(in crate::serve) frames: u64,
     /// Frames that went wrong.
     pub(in crate::serve) broken: u64,
-    /// For how long the wire was taken by either.
+    /// How long the wire was busy with either.
     pub(in crate::serve) busy_us: u64,
 }
 
-/// A motor as it is, whatever its encoder and its drive say.
+/// The true state of a motor, whatever its encoder and its drive say.
 #[derive(Clone, Debug, Serialize)]
 pub(in crate::serve) struct MotorState {
     /// The id that it started with, and the one that it listens to.
@@ -48,16 +48,16 @@ pub(in crate::serve) struct MotorState {
     /// Of the output shaft, turns included.
     angle_deg: f64,
     speed_dps: f64,
-    /// The angle that its drive tells, from its own zero.
+    /// The angle that its drive reports, from its own zero.
     told_angle_deg: f64,
     current_a: f32,
-    /// What the current makes at the output shaft, before friction.
+    /// The torque of that current at the output shaft, before friction.
     torque_nm: f64,
-    /// What the load makes there.
+    /// The torque of the load there.
     load_torque_nm: f64,
     /// Whether mechanics move the shaft, which then feels no load.
     led: bool,
-    /// What a hand makes there.
+    /// The torque of a hand there.
     push_nm: f64,
     motor_temperature_c: f32,
     mosfet_temperature_c: f32,

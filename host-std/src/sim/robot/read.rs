@@ -19,15 +19,15 @@ use crate::sim::{Fleet, MotorSetup};
 /// A line, from 1, and what is wrong there.
 type Wrong = (usize, String);
 
-/// The fastest is what classic CAN can do, the slowest what adapters know.
+/// The fastest rate is that of classic CAN, the slowest the slowest of adapters.
 const CAN_RATES: RangeInclusive<u32> = 10_000..=1_000_000;
-/// What serial lines have.
+/// The rates of serial lines.
 const RS485_RATES: RangeInclusive<u32> = 1_200..=12_000_000;
-/// From the plant's step to what no loop of a drive goes along with.
+/// From the plant's step to a period with which no loop of a drive is stable.
 const MECHANICS_PERIODS_US: RangeInclusive<u64> = 100..=100_000;
 /// The longest that a drive may take to answer, ms.
 const LONGEST_RESPONSE_MS: f64 = 1_000.0;
-/// The longest name of a bus, which becomes one of a file.
+/// The longest name of a bus, which becomes the name of a file.
 const LONGEST_NAME: usize = 64;
 
 pub(super) fn robot(text: &str, folder: &Path) -> Result<Robot, Wrong> {
@@ -50,7 +50,7 @@ pub(super) fn robot(text: &str, folder: &Path) -> Result<Robot, Wrong> {
     Ok(Robot { buses }.seed(robot.seed.unwrap_or(1)))
 }
 
-/// What is wrong with a file's tables; brackets that are one where two are needed are reported as that.
+/// What is wrong with the tables of a file. Single brackets where double ones are needed have a message of their own.
 fn wrong_table(text: &str, error: &toml::de::Error) -> Wrong {
     let (line, what) = of_toml(text, error);
     let found =
@@ -135,7 +135,7 @@ impl File<'_> {
         })
     }
 
-    /// A name that a file can have.
+    /// Reads a name that a file can have.
     fn name(&self, name: &Spanned<String>) -> Result<String, Wrong> {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         let text = name.get_ref();
@@ -179,7 +179,7 @@ impl File<'_> {
         Ok(defaults.into_inner())
     }
 
-    /// The motors of a table, which differ in their ids alone.
+    /// The motors of a table, which differ only in their ids.
     fn motors(
         &self,
         table: &Spanned<MotorTable>,
@@ -214,7 +214,7 @@ impl File<'_> {
                 .unwrap_or(usual.start_angle_deg),
             ..usual
         };
-        // What cannot be is told with its line, not when the motors are put on a bus.
+        // What is impossible is reported with its line, not when the motors are put on a bus.
         let made = Fleet::of([setup.clone()]).on_can(*CAN_RATES.end());
         made.map_err(|error| self.wrong(&at, error.to_string()))?;
         Ok(ids.into_iter().map(|id| MotorSetup { id, ..setup.clone() }).collect())
