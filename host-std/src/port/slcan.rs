@@ -35,13 +35,13 @@ const READS_A_CALL: usize = 16;
 ///
 /// - **The adapter answers BEL:** the bus counts as carrying nothing. From then until a frame comes,
 ///   [`transmit`](Can::transmit) returns an error for all that could move a motor; stop the motors then, as with
-///   [`SocketCan`](crate::port::SocketCan). Meanwhile, with what it sends, it
-///   opens the adapter once more, up to ten times a second: an adapter that has restarted accepts no stop before that.
+///   [`SocketCan`](crate::port::SocketCan). Meanwhile, with what it sends, it opens the adapter once more, up to ten
+///   times a second: an adapter that has restarted accepts no stop before that.
 /// - **The port takes nothing for 20 ms:** it is emptied, since what it holds is stale.
 ///
 /// What its driver does not give back, and what the adapter itself holds, even the beginning of a line, may be sent when
-/// the bus is back. Many
-/// adapters report nothing at all. So protect the drives on their own side, with communication-loss protection (0xB3).
+/// the bus is back. Many adapters report nothing at all. So protect the drives on their own side, with
+/// communication-loss protection (0xB3).
 ///
 /// Some USB adapters collect what they receive, for up to 16 ms. They are told not to, if the driver
 /// offers that and the user has the permission; otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
