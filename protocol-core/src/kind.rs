@@ -28,8 +28,9 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind of a command by its bytes, whatever kind it claims to be. If the table has the command byte, the table
-    /// holds, so that no [`Command`](crate::Command) of a caller's own evades a rule by a wrong claim.
+    /// The kind, by its bytes, of a command that claims to be of this kind. If the table has the command byte, the
+    /// table's row holds, so that no [`Command`](crate::Command) of a caller's own evades a rule by a wrong claim.
+    /// Motion mode has no command byte: a claim to be that stands.
     #[must_use]
     pub fn of_bytes(self, data: &Data) -> Self {
         if let Self::Known(Opcode::Motion) = self {

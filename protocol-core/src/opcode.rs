@@ -80,7 +80,7 @@ macro_rules! opcode_table {
     ($callback:ident) => {
         $callback! {
     // name, byte, name in tools, section, how the drive replies, key byte, a second sending, buses,
-    // whom it reaches, what else it is used for, which firmware has it
+    // which motors it reaches, what else it is used for, which firmware has it
 
     /// One of seven special functions.
     FunctionControl = 0x20, "function-control", "2.35", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;

@@ -10,7 +10,8 @@ command! {
 reply! {
     /// Multi-turn angle of the output shaft, from its zero (2.12.3).
     ///
-    /// After a restart a drive that does not save its turns (function 4) starts again within half a turn of zero.
+    /// After a restart a drive that does not save its turns (function 4) counts again from an angle within half a turn
+    /// of zero.
     MultiTurnAngle {
         /// The angle.
         angle: Angle => 4,

@@ -157,7 +157,7 @@ impl Field {
             Form::Text => write!(f, "{}", ModelName::of(data)),
             Form::ReplyIdentifier => write!(f, "{raw}"),
             Form::Motion(scale) => match ranges {
-                // Further decimals come from the scale by accident.
+                // Further decimals only come from the scale, and mean nothing.
                 Some(ranges) => {
                     let value = round_f64(ranges.value(scale, raw as u16) * 1e4) / 1e4;
                     write!(f, "{value} {symbol}")

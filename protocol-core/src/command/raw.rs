@@ -62,6 +62,7 @@ impl RawCommand {
 
     /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
     ///
+    /// # Errors
     /// As [`Kind::channel_to`]: if the table has its command byte, the table says which motors it reaches.
     pub fn packet_to(&self, target: Target) -> Result<Packet, RequestError> {
         Ok(Packet { channel: self.kind().channel_to(target)?, data: self.data })

@@ -63,8 +63,8 @@ reply! {
 
 impl RunTime {
     /// Whether a drive that reports this, and reported `before` earlier, has started again in between: it has run for
-    /// less time. `false` if the time has only wrapped to 0, as it does after 49.7 days, unless the two are an hour
-    /// apart.
+    /// less time. The time also wraps to 0, after 49.7 days. So this is `false` if, counted over such a wrap, the two
+    /// are less than an hour apart.
     ///
     /// A drive that has run for longer may also have started again, long ago.
     pub const fn shows_restart_since(self, before: Self) -> bool {
