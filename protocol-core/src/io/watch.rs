@@ -31,7 +31,7 @@ pub enum Trouble {
     /// The drive has [restarted](Event::Restarted): its turns may be lost.
     #[error("motor {0} has restarted, and its turns may be lost: read its angle, then resume it")]
     Restarted(MotorId),
-    /// The drive has [lost its master](Event::LostMaster) and has stopped by itself.
+    /// The drive has [lost its master](Event::LostMaster) and has stopped on its own.
     #[error("motor {0} has heard nothing for longer than its protection (0xB3) allows")]
     LostMaster(MotorId),
 }
@@ -51,9 +51,9 @@ pub enum LoopError<E> {
 
 /// Watches motors that a control loop moves by set-points.
 ///
-/// Feedback alone does not show everything: a drive that has cut its output because of an error goes on giving feedback,
-/// and one whose supply fails for a moment only comes back with its turns lost. So a watch asks the motors in turn for
-/// their errors (0x9A) and their run time (0xB1), one question at a time, each [`ask_every`](Self::ask_every).
+/// Feedback alone does not show everything. A drive that has cut its output because of an error goes on sending
+/// feedback. A drive whose supply fails only for a moment comes back with its turns lost. So a watch asks the motors in
+/// turn for their errors (0x9A) and their run time (0xB1), one question every [`ask_every`](Self::ask_every).
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::SetPoint;
@@ -75,7 +75,7 @@ pub enum LoopError<E> {
 /// # }
 /// ```
 ///
-/// It stops nothing by itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
+/// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 #[derive(Clone, Debug)]
 pub struct Watch {
     motors: MotorSet,
@@ -114,7 +114,7 @@ impl Watch {
     }
 
     /// How often a motor is asked; every 10 ms unless said otherwise. Each question takes a turn on the bus. With the
-    /// default each of eight motors is asked for its errors every 160 ms; a larger arm on CAN has its drives report
+    /// default each of eight motors is asked for its errors every 160 ms. For a larger arm on CAN let the drives report
     /// errors ([function 3](crate::command::FunctionControl::ErrorReporting)), which [`note`](Self::note) takes, too.
     #[must_use]
     pub const fn ask_every(mut self, time: Duration) -> Self {
@@ -122,8 +122,8 @@ impl Watch {
         self
     }
 
-    /// Says what is wrong, and asks the next question when it is due. Call it once a cycle, after the events of the last
-    /// cycle were [noted](Self::note).
+    /// Reports what is wrong, and asks the next question when it is due. Call it once a cycle, after the events of the
+    /// last cycle were [noted](Self::note).
     ///
     /// # Errors
     /// [`Trouble`], the first that was noted.
@@ -173,7 +173,7 @@ impl Watch {
             Event::Report { motor, reply: AnyReply::ReadStatus1(Status1 { errors, .. }) } => {
                 (motor, Trouble::Errors { motor, errors })
             }
-            // Whoever has asked.
+            // No matter which question this answers: the watch's or another's.
             Event::Reply { ticket, kind: Kind::Known(Opcode::ReadStatus1), data } => {
                 let Ok(Status1 { errors, .. }) = ReadStatus1::decode_reply(&data) else { return };
                 (ticket.motor(), Trouble::Errors { motor: ticket.motor(), errors })
