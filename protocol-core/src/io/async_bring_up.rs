@@ -2,7 +2,8 @@
 //! functions there run these.
 //!
 //! If one of these futures is dropped, its work ends where it is: a motor may have been given its new id and not have
-//! been restarted, for example. Those that move a motor or open its brake then put a stop.
+//! been restarted, for example. Those that move a motor or open its brake then put a stop in force, which the next
+//! future of the loop sends.
 
 use crate::command::{
     CommunicationLossProtection, ReadModel, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset,

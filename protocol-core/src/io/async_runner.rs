@@ -21,8 +21,8 @@ use crate::time::Instant;
 ///
 /// - In general it stays under way, and the next request waits for its end.
 /// - One that a stop [would refuse](crate::Kind::is_refused_while_stopped), such as a move or a set-point whose
-///   feedback was waited for, is not sent from then on, because the bus may move again at any later time.
-/// - One that the bus has taken already is carried out; see [`Master::withdraw`]. Stop the motor.
+///   feedback was waited for, is not sent from then on: nobody knows how late the bus moves again.
+/// - If the bus has already taken such a command, it is carried out; see [`Master::withdraw`]. Stop the motor.
 ///
 /// As with [`Runner`](crate::io::Runner), a call that waits ignores other events.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
@@ -40,7 +40,8 @@ pub trait AsyncRunner<const N: usize> {
     /// can be sent is sent, even if `until` is past.
     ///
     /// # Errors
-    /// What the bus driver reports. The master stays sound: call again. The next call begins a millisecond later.
+    /// What the bus driver reports. The master stays sound: call again. The next call begins a millisecond after the
+    /// error.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
     /// Runs the bus until there is an event.
@@ -62,7 +63,7 @@ pub trait AsyncRunner<const N: usize> {
         mut on_event: impl FnMut(Event),
     ) -> Result<(), CallError<Self::Error>> {
         let is_late = self.now() >= until;
-        // A late loop receives all that has come first; what waits is sent after that.
+        // A late loop first receives all that has come. What waits is sent after that.
         while let Some(event) = self.run(Some(until)).await.map_err(CallError::Bus)? {
             on_event(event);
         }

@@ -21,8 +21,8 @@ pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 const LOAD_SHOWS: Duration = Duration::from_millis(200);
 /// How often a brake that does not answer is told to open.
 const RELEASES: u8 = 3;
-/// How often a brake that does not answer is told to lock, with the time to lock in between: what is sent then may be
-/// lost for longer than a question is repeated.
+/// How often a brake that does not answer is told to lock, with the time to lock in between: a line may be out for
+/// longer than a question is repeated.
 const LOCKS: u8 = 2;
 /// How often a question is asked, if the bus fails, while a load depends on its answer.
 const LOOKS: u8 = 10;
@@ -116,7 +116,7 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Gives a brake the time to open or to lock, or until `is_over`, and returns the drive's status then.
+/// Gives a brake the time to open or to lock; ends sooner if `is_over`. Returns the drive's last status.
 async fn moved<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -183,8 +183,8 @@ pub async fn check_brake<B: Calls<N>, const N: usize>(
 }
 
 /// Whether the motor may hold its shaft, which stands: it runs something, or draws a current. In motion mode it may
-/// draw one and not say that it runs. Refuses a motor that turns and runs something, or that turns behind an open brake
-/// and does not say what it runs.
+/// draw one and not say that it runs. A motor that reports errors holds nothing. Refuses any other that turns and runs
+/// something, or that turns behind an open brake and does not say what it runs.
 async fn may_hold<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,

@@ -1,8 +1,8 @@
 //! First contact and safe ways of working: plain functions over any [`Runner`]. For tasks the same functions are in
 //! [`async_bring_up`](crate::io::async_bring_up).
 //!
-//! They wait for what they ask, and ignore set-points and events of other motors meanwhile. So use them before a
-//! control loop runs, not inside one.
+//! They wait for what they ask. Meanwhile the caller can put no set-points, and events of other motors are ignored. So
+//! use them before a control loop runs, not inside one.
 
 use core::ops::ControlFlow;
 
@@ -151,7 +151,7 @@ pub enum BringUpError<E> {
         holds: Option<bool>,
     },
     /// The drive does not report lock as its brake's last command; it may have no brake. Whatever holds a load must go
-    /// on.
+    /// on holding it.
     #[error(
         "motor {motor}: the brake was told to lock and says {says}: do not switch off what holds a load"
     )]
@@ -219,8 +219,8 @@ pub enum Protection {
 /// # Errors
 /// [`CallError`], among them:
 ///
-/// - [`Failure::BusDown`], of any of the candidates, if the bus carries nothing. A CAN bus does not when nobody is
-///   there to acknowledge.
+/// - [`Failure::BusDown`], of any of the candidates, if the bus carries nothing, such as a CAN bus on which no other
+///   node is there to acknowledge.
 /// - [`TooManyMotors`](crate::error::RequestError::TooManyMotors) if the master has no free place at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,
@@ -290,7 +290,7 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///   on the bus, 0x79 is tried, which all connected motors obey.
 /// - A motor that turns is refused.
 /// - Before the motor is switched off, if it may hold a load, its brake is told to lock (0x78). If a load falls all the
-///   same, the motor is told to hold it again, and is refused.
+///   same, of a motor without a brake for example, the motor is told to hold it again, and is refused.
 /// - This asks all ids first, and both of these afterwards. So the master needs a place for each of the two besides
 ///   those of the other motors that it knows: `CanMaster<_, _, 8>` for six motors, for example. Without them nothing is
 ///   written.
@@ -409,12 +409,13 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///
 /// From then on the motor must be spoken to without longer pauses, even while a stop holds it.
 ///
-/// - Any speaker is enough, even a thread that reads temperatures while the control loop hangs.
+/// - Any command to the motor counts. So the motor does not stop if the control loop hangs while another thread goes on
+///   reading its temperature.
 /// - After a longer pause the motor may answer and not obey until it is spoken to steadily again (2.31.1). Its brake
 ///   has locked by then, and torque and motion commands do not open it: [release](release_brake) it again.
 /// - A load falls until the brake holds: [lock](lock_brake) it before you fall silent on purpose.
-/// - The functions here that wait speak to their own motor alone; [`move_to`] does so every 20 ms. Below 50 ms the
-///   protection may end a move.
+/// - The functions here that wait speak to their own motor and to no other; [`move_to`] does so every 20 ms. Below
+///   50 ms the protection may end a move.
 ///
 /// # Errors
 /// [`CallError`].
@@ -426,15 +427,15 @@ pub fn protect<R: Runner<N>, const N: usize>(
     block_on(task::protect(&mut Polled(runner), motor, timeout))
 }
 
-/// Restarts a drive (0x76) and waits until it answers, under another id if `then` is one.
+/// Restarts a drive (0x76) and waits until it answers under the id `then`, which may be a new one.
 ///
 /// - A stop in force refuses this.
 /// - The motor's output goes off. Before that, if the motor may hold a load, its brake is told to lock (0x78), and the
 ///   motor is switched off. A motor that turns while it runs something is refused. So is one whose load falls then: it
 ///   is told to hold it again. If it cannot hold, or held nothing before, it is restarted all the same.
 /// - The brake of a motor that answers nothing is told to lock, too, since the motor may still hear.
-/// - A drive that goes on running has not heard the restart, and is told again. It shows by its run time (0xB1), or
-///   because the drive answers under its old id.
+/// - A drive that goes on running has not heard the restart, and is told again. Its run time (0xB1) shows that, or that
+///   it answers under its old id.
 /// - Whole turns are lost unless multi-turn saving ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is
 ///   on, and the motor may be moved at once afterwards: read its angle first.
 ///

@@ -29,8 +29,8 @@ pub trait Calls<const N: usize> {
     /// [`CallError::Bus`].
     async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Self::Error>>;
 
-    /// Sends a command to one motor and waits for its answer. If there is none, sends it up to `attempts` times; with
-    /// `None`, as often as is usual for this command.
+    /// Sends a command to one motor and waits for its answer. If none comes, sends it again, up to `attempts` times in
+    /// all; with `None`, as often as is usual for this command.
     ///
     /// # Errors
     /// [`CallError`].
@@ -50,14 +50,15 @@ pub trait Calls<const N: usize> {
         self.ask_often(motor, command, None).await
     }
 
-    /// Stops a motor and returns whether it has confirmed that; see [`Master::stop`](crate::master::Master::stop).
+    /// Stops a motor, waits until it has confirmed that or has failed to, and returns whether it has; see
+    /// [`Master::stop`](crate::master::Master::stop).
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool;
 
     /// Stops a motor without waiting.
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind);
 
-    /// Whether a motor would accept a move now.
+    /// Checks that a move of this motor would not be refused now.
     ///
     /// # Errors
     /// [`RequestError::Stopped`] if it was stopped, [`RequestError::Restarted`] if it has restarted.

@@ -6,8 +6,8 @@ use crate::opcode::{LOST_MASTER_BYTE, Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
-/// How long after its sending an echo comes at most, if somebody looks: adapters hand over what they received every 16
-/// ms.
+/// How long after its sending an echo comes at most, if the port is read meanwhile: adapters hand over what they
+/// received every 16 ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// How many answers in a row without an echo show that there is none. Noise may take some echoes.
 const ARE_ENOUGH: u8 = 4;
@@ -32,16 +32,16 @@ const SENDINGS: usize = 8;
 /// that motor's status is read before the stops of others are sent: otherwise each of these would be waited for in
 /// vain.
 ///
-/// An adapter is found to echo if something comes back that no drive sends: a frame to all, or two such reads of one
-/// motor. A single read may be handed back by a drive that has lost its master (0xF1) and ignored it; if its 0xF1 was
-/// heard, the read shows nothing. An adapter that was found to echo counts as quiet after four answers in a row without
-/// an echo.
+/// An adapter is found to echo if something comes back that no drive sends: a frame to all, or two of these reads of
+/// one motor. A single read may be handed back by a drive that has lost its master (0xF1) and ignored it; if its 0xF1
+/// was heard, the read shows nothing. An adapter that was found to echo counts as quiet after four answers in a row
+/// without an echo.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
     /// The frames that were sent and have not come back, the newest first.
     sent: [Option<Sent>; SENDINGS],
-    /// The motors to which a frame was last sent that shows whether there is an echo, and nothing has shown it yet.
+    /// The motors for which the last frame sent can show whether there is an echo, but nothing has come yet that does.
     asked: MotorSet,
     /// A frame to this motor has come back: it has answered, or the adapter echoes.
     seems_there: Option<MotorId>,
@@ -66,9 +66,9 @@ struct Sent {
 enum Adapter {
     /// It echoes, by configuration.
     Echoes,
-    /// It was found to echo; but since then so many answers in a row came without an echo.
+    /// It was found to echo; but since then this many answers in a row came without an echo.
     FoundEchoing { answers: u8 },
-    /// No echo was found, and so many answers in a row came without one. Frames to `suspected` have come back before.
+    /// No echo was found, and this many answers in a row came without one. Frames to `suspected` have come back before.
     NoneFound { answers: u8, suspected: MotorSet },
 }
 
@@ -127,7 +127,7 @@ impl EchoFilter {
     /// Whether a received frame is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
         let is_equal = |place: &Option<Sent>| place.is_some_and(|sent| sent.frame == *frame);
-        // A frame that was answered before its echo came has lost that.
+        // Not that of a frame that was answered before its echo came: that echo is lost.
         let may_come = |place: &Option<Sent>| is_equal(place) && place.is_some_and(|it| it.shows);
         let first = self.sent.iter().rposition(may_come);
         let first = first.or_else(|| self.sent.iter().rposition(is_equal));
@@ -188,7 +188,7 @@ impl EchoFilter {
         }
     }
 
-    /// What was sent to this address has shown this.
+    /// Takes note of what is now known of the adapter from a frame to this address.
     fn has_shown(&mut self, address: Target, adapter: Adapter) {
         self.adapter = adapter;
         if let Target::Motor(motor) = address {

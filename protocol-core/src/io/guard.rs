@@ -1,4 +1,4 @@
-//! Whoever leaves a control loop leaves it through the stop.
+//! Stops all motors, however a control loop is left.
 
 use core::ops::{Deref, DerefMut};
 
@@ -44,11 +44,11 @@ use crate::time::Instant;
 /// events report which motors have confirmed. Set a time limit of your own: while the bus takes nothing there is no
 /// event, not even that no motor has confirmed.
 ///
-/// **A motor that has not confirmed may obey a frame that still lies in a controller** when its power or its cable
-/// comes back. Cut its power. Before the power comes back, go on running the bus with the stop in force, or reset the
-/// controller (Linux: `ip link set can0 down`).
+/// **A motor that has not confirmed may obey a frame that still lies in a controller** when the motor's power or cable
+/// comes back. Cut the motor's power. Before that power comes back, go on running the bus with the stop in force, or
+/// reset the controller (Linux: `ip link set can0 down`).
 ///
-/// The guard cannot stop the motors if nobody leaves the loop: in a program that is killed, aborts, calls `exit`, is
+/// The guard cannot stop the motors if it is never dropped: in a program that is killed, aborts, calls `exit`, is
 /// ended by a signal (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread.
 /// For those cases set the motors' communication-loss protection (0xB3). It switches a motor off when nobody speaks to
 /// it any more, even one that a stop holds.

@@ -18,8 +18,8 @@
 //! The example `several_tasks` of `myactuator-host-std` shows that; the `share` of that crate does it for threads.
 //! Several buses run in one task each, or in one task that `join`s their futures, as in the example `two_arms`.
 //!
-//! README.md shows a control loop for eight motors, which a [`Guard`] stops and a [`Watch`] watches. The whole program is
-//! the example `control_loop` of `myactuator-host-std`.
+//! README.md shows a control loop for eight motors, with a [`Guard`] and a [`Watch`]. The whole program is the example
+//! `control_loop` of `myactuator-host-std`.
 
 mod asking;
 pub mod async_bring_up;

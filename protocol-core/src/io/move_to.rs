@@ -21,7 +21,7 @@ use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque};
 
 /// How often the motor is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// If a look takes longer than this, the motor may meanwhile have begun to turn and have come to rest far away.
+/// In more time than this between two looks the motor may have begun to turn and have come to rest far away.
 const LONGEST_LOOK: Duration = Duration::from_millis(100);
 /// How often its errors are looked at, in looks.
 const ERRORS_EVERY: u32 = 5;
@@ -29,7 +29,7 @@ const ERRORS_EVERY: u32 = 5;
 const ATTEMPTS: u8 = 3;
 /// A motor stands if it has not turned for this long. One that swings stands for a moment, too.
 const STANDS_AFTER: Duration = Duration::from_millis(100);
-/// Each move is given `START` and `TIMES` as long as it should take.
+/// Each move is given `START`, plus `TIMES` times as long as it should take.
 const START: Duration = Duration::from_secs(5);
 const TIMES: u64 = 3;
 /// The speed that a motor without a speed limit is expected to reach.
@@ -90,10 +90,10 @@ impl MoveCommand for IncrementalPosition {
 pub struct MoveLimits {
     /// The motor has arrived if it stands still and is no further from the target than this.
     pub tolerance: Angle,
-    /// How long the move may take. `None` stands for 5 s plus three times what the way takes at full speed, or at 90
-    /// dps if there is no speed limit.
+    /// How long the move may take. `None` stands for 5 s plus three times what the way takes at the move's largest
+    /// speed, or at 90 dps if it has no speed limit.
     pub time: Option<Duration>,
-    /// A motor that comes no nearer for this long has stalled. Steps smaller than the tolerance do not count.
+    /// A motor that comes no nearer for this long has stalled. Coming nearer by less than the tolerance does not count.
     pub stalled_after: Duration,
     /// What happens to a motor that has stalled.
     pub when_stalled: WhenStalled,
@@ -450,7 +450,7 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// Whether it has come no nearer for `after`. Steps smaller than the tolerance do not count.
+    /// Whether it has come no nearer for `after`. Coming nearer by less than the tolerance does not count.
     fn has_stalled(
         &mut self,
         distance: u32,
@@ -478,8 +478,9 @@ impl LastTurn {
         }
     }
 
-    /// Whether it may still be turning. Since it last came nearer it has had `stalled_after`, all the time that the
-    /// caller gives it to come to rest, so that bounds this.
+    /// Whether it may still be turning: it turned within `STANDS_AFTER`, or within `stalled_after` if that is shorter.
+    /// A motor that has turned only until it last came nearer has had all the time to come to rest that the caller
+    /// allows.
     fn is_recent(&self, now: Instant, stalled_after: Duration) -> bool {
         now - self.at <= STANDS_AFTER.min(stalled_after)
     }

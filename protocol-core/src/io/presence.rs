@@ -24,7 +24,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     candidates: MotorSet,
     on_answer: impl FnMut(MotorId, bool),
 ) -> Result<MotorSet, CallError<R::Error>> {
-    // However this ends, a stop of all is for the motors that were found.
+    // However this ends, a stop of all reaches the motors that were found.
     let mut scan = OnDrop::new((runner, MotorSet::EMPTY), |(runner, found): &mut (&mut R, _)| {
         runner.master().note_found(*found);
     });

@@ -153,7 +153,8 @@ pub trait Runner<const N: usize> {
         block_on(Polled(self).set_point_and_wait(motor, command))
     }
 
-    /// Stops one motor and returns whether it has confirmed. If not, **cut its power**. See [`Master::stop`].
+    /// Stops one motor, waits until it has confirmed or has failed to, and returns whether it has. If not, **cut its
+    /// power**. See [`Master::stop`].
     ///
     /// - Until [`Master::lift_stop_of`] whatever may move the motor is refused.
     /// - An error of the bus does not end the stop, as with [`stop_all`](Self::stop_all).
@@ -166,8 +167,8 @@ pub trait Runner<const N: usize> {
     /// Stops all motors [that have a place](Master::motors) and those of `also`, and waits until each has confirmed or
     /// has failed to; see [`Master::stop_all`]. Returns those that have not confirmed: **cut their power**.
     ///
-    /// - A motor that this master has never spoken to has no place, so name it in `also`. Without that, nothing is
-    ///   reported where the master has spoken to no motor.
+    /// - A motor that this master has never spoken to has no place, and is not among those returned: name it in `also`.
+    ///   If the master has spoken to no motor and `also` is empty, so is the result.
     /// - An error of the bus does not end the stop. It is tried for up to [`LONGEST_STOP`], in the hope that the bus
     ///   comes back.
     /// - On RS485 it goes after the exchange under way, but waits for that no longer than 50 ms.

@@ -11,7 +11,7 @@ use crate::units::CoarseSpeed;
 /// Up to this speed a shaft stands, degrees per second.
 const STANDS_DPS: u16 = 2;
 
-/// Refuses a stopped motor, before a motor that the stop holds is switched off.
+/// Refuses a motor for which a stop is in force: the stop may hold it, and it must not be switched off then.
 pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
