@@ -200,11 +200,11 @@ pub(super) fn ranges(text: &str) -> Parsed<MotionRanges> {
 /// Which revision of the protocol frames are of, and the scales of their motion mode.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct Revision {
-    /// The revision of the protocol: v4.3, or v4.4, of which 0x94 and what it shares with v4.3 are known.
+    /// The revision of the protocol: v4.3, or v4.4, of which only 0x94 and what it shares with v4.3 are known.
     #[arg(long, global = true, value_parser = firmware, default_value = "v4.3")]
     pub(super) firmware: Firmware,
-    /// The scales of motion mode, where they are not the firmware's: the largest position, velocity, kp,
-    /// kd and torque, as in 12.566,45,500,5,60.
+    /// The scales of motion mode, if they differ from the firmware's: the largest position, velocity, kp, kd and
+    /// torque, as in 12.566,45,500,5,60.
     #[arg(long, global = true, value_parser = ranges)]
     pub(super) ranges: Option<MotionRanges>,
 }

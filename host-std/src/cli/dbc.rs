@@ -8,13 +8,15 @@ use myactuator_host_std::protocol::MotorId;
 use super::Outcome;
 use super::arguments::{self as parse, Revision};
 
-/// Print a DBC file, with which other tools decode the CAN frames of these motors.
+/// Print a DBC file, with which other tools decode the CAN frames of these motors
 ///
-/// Signals are multiplexed by the command byte and named for command, field and unit:
+/// Signals are multiplexed by the command byte. They are named after command, field and unit, such as
 /// absolute_position_angle_deg.
+///
+/// Exit status: 0 printed, 2 wrong usage.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// The only motor that the file is for, 1 to 32 [default: all of them].
+    /// Write the file for this motor only, 1 to 32 [default: all motors].
     #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
     id: Option<MotorId>,
     #[command(flatten)]

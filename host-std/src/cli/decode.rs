@@ -11,12 +11,13 @@ use myactuator_host_std::{BusKind, text};
 use super::arguments::Revision;
 use super::{Outcome, Unfinished, names, print_line};
 
-/// Explain frames: one line each for people, or with --json one object a line.
+/// Explain frames: one line each for people, or with --json one object a line
 ///
-/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On
-/// RS485 it is bytes, hexadecimal
-/// or decimal, with commas or spaces or without; they may hold several frames and noise. Exit status:
-/// 0 if every frame was decoded, 1 if some were not, 2 for wrong usage.
+/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On RS485 it is bytes,
+/// hexadecimal or decimal, separated by commas, spaces or nothing; they may hold several frames and noise. An input that
+/// cannot be read counts as wrong usage; the others are explained all the same.
+///
+/// Exit status: 0 every frame decoded, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// The bus that the frames are from [default: can, with --binary rs485].
@@ -28,12 +29,12 @@ pub(super) struct Arguments {
     /// Files hold raw RS485 bytes, not text.
     #[arg(long)]
     binary: bool,
-    /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
+    /// Which way the frames went; needed where their bytes do not say (RS485, and bus id on CAN).
     #[arg(long, value_parser = names::direction(), value_name = "WAY")]
     direction: Option<FrameDirection>,
     #[command(flatten)]
     revision: Revision,
-    /// Frames, files, or - for standard input, which is also read if there is none of these.
+    /// Frames, files, or - for standard input [default: standard input].
     #[arg(value_name = "FRAME|FILE|-")]
     inputs: Vec<String>,
 }

@@ -8,8 +8,11 @@ use super::arguments as parse;
 use super::wanted::Wanted;
 use super::{Outcome, names, print_line};
 
-/// Print the frame of a command: 141#A400F401A08C0000 (as candump and cansend write it), or RS485
-/// bytes in hexadecimal.
+/// Print the frame of a command; nothing is sent
+///
+/// A CAN frame is printed as candump and cansend write it, 141#A400F401A08C0000; an RS485 frame as bytes in hexadecimal.
+///
+/// Exit status: 0 printed, 2 wrong usage.
 #[derive(Debug, clap::Args)]
 #[command(arg_required_else_help = false)]
 pub(super) struct Arguments {
@@ -19,11 +22,11 @@ pub(super) struct Arguments {
     /// The motor, 1 to 32, or `all`.
     #[arg(long, global = true, value_parser = parse::target, allow_hyphen_values = true)]
     id: Option<Target>,
-    /// The revision of the protocol, v4.3 or v4.4 [default: v4.3, but none for motion mode].
+    /// The revision of the protocol, v4.3 or v4.4 [default: v4.3; for motion mode there is none].
     #[arg(long, global = true, value_parser = parse::firmware)]
     firmware: Option<Firmware>,
-    /// The scales of motion mode, where they are not the firmware's: the largest position, velocity, kp,
-    /// kd and torque, as in 12.566,45,500,5,60.
+    /// The scales of motion mode, if they differ from the firmware's: the largest position, velocity, kp, kd and
+    /// torque, as in 12.566,45,500,5,60.
     #[arg(long, global = true, value_parser = parse::ranges)]
     ranges: Option<MotionRanges>,
     #[command(subcommand)]

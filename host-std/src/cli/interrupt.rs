@@ -27,12 +27,6 @@ const REAL_TIME: RangeInclusive<i32> = 32..=64;
 /// The kernel keeps from it whatever would end it (pid_namespaces(7)).
 const FIRST_PROCESS: u32 = 1;
 
-/// What comes of a signal, for the help of what it does not end at once.
-pub(super) const ENDS_LATER: &str = "\
-If a signal comes meanwhile, this program dies by it at its end, also where all went well, so that a shell's loop over \
-motors ends, too: by that of Ctrl-C (130) for Ctrl-C, Ctrl-\\ and Ctrl-Z, else by its own, SIGTERM (143) or SIGHUP (129) \
-say.";
-
 /// The last of them that has come; 0 for none.
 static LAST: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);

@@ -118,4 +118,17 @@ mod tests {
         use clap::CommandFactory;
         Cli::command().debug_assert();
     }
+
+    #[test]
+    fn the_help_of_each_subcommand_ends_with_its_exit_status() {
+        use clap::CommandFactory;
+        for subcommand in Cli::command().get_subcommands() {
+            let (name, help) = (subcommand.get_name(), subcommand.get_long_about());
+            let help = help.map(ToString::to_string).unwrap_or_default();
+            let last = help.lines().last().unwrap_or_default();
+            let is_status =
+                last.starts_with("Exit status: 0 ") && last.ends_with(", 2 wrong usage.");
+            assert!(is_status, "{name}: {last}");
+        }
+    }
 }

@@ -22,7 +22,7 @@ use super::arguments as parse;
 use super::{Outcome, Unfinished};
 use serving::Served;
 
-/// What a file says, and so no option beside it.
+/// Options that are refused with a file, because the file says this.
 const SAID_BY_A_FILE: [&str; 11] = [
     "count",
     "same_id",
@@ -37,34 +37,34 @@ const SAID_BY_A_FILE: [&str; 11] = [
     "can",
 ];
 
-/// What is wrong can be said in one word, and this is how.
+/// The words of --fault and --quirk, for the help.
 const FAULTS: &str = "\
 Faults: KIND[=VALUE][@WHERE][?CONDITION][+TIME]
   lose=0.01                 a frame does not arrive; 0.01 is its chance, from 0 to 1
   corrupt=0.01              a bit is disturbed: CAN repeats the frame, RS485 delivers it
   undetected=0.01           the share of corrupted CAN frames that arrive with a wrong bit
   duplicate=0.01            a frame arrives twice
-  delay=0.01:1ms..5ms       a frame arrives late, by so much
-  reorder=0.01              a frame arrives behind the next one
-  babble=10ms               the drive sends random frames, so far apart
-  slow=2ms                  the drive answers so much later
-  cut, mend                 its wire is cut; all is well again (cut, slow and babble)
+  delay=0.01:1ms..5ms       a frame arrives late by this much
+  reorder=0.01              a frame arrives after the next one
+  babble=10ms               the drive sends random frames at this interval
+  slow=2ms                  the drive answers later by this much
+  cut, mend                 its wire is cut; cut, slow and babble end
   reset                     its power is cycled
   stall, under-voltage, over-voltage, over-current, over-power, calibration-write,
   over-speed, component-over-temperature, motor-over-temperature,
   encoder-calibration, encoder-data
                             the drive has this error
-  clear                     takes the causes of these errors away
-The first six have the values shown unless told otherwise; so has babble.
+  clear                     removes the causes of these errors
+The first six and babble have the values shown if none is given.
 @WHERE: a motor's id, else all; for the first six also to-drives or from-drives,
   or both: lose=0.1@2,from-drives
-+TIME: so long after the start: cut@1+5s mend@1+8s. Times in us, ms or s.
++TIME: this long after the start: cut@1+5s mend@1+8s. Times in us, ms or s.
 ?CONDITION: once, as soon as the motor is beyond something, angle (deg), speed (dps),
   current (A), temperature (of the winding, in degrees Celsius) or voltage (V):
   \"cut@1?angle>90\" \"stall@2?speed<-10\", in quotes for the shell
 
-Quirks: what drives were seen to do beside the manual
-  slow-boot                 deaf for 1.1 s after a restart
+Quirks: behaviour of real drives that differs from the manual
+  slow-boot                 hears nothing for 1.1 s after a restart
   slow-brake                the brake opens, and locks, 50 to 150 ms late
   lost-master-heartbeat     0xF1 once a second after a loss of communication, and the
                             first command then is echoed and ignored
@@ -77,32 +77,33 @@ Quirks: what drives were seen to do beside the manual
   brake-told-by-motion      0x9A says release only while the drive obeys a motion command
   silent-while-reporting    nothing at all is answered while active reply (0xB6) is on
   broadcast-slots           answers to all (RS485, 0xCD) come one after the other
-  slow-rom                  replies to what is stored come 15 ms later (an estimate)
-  bursts                    adapters hand over what they hear every 16 ms, as many USB adapters do
-  echo                      the RS485 adapter hands back what is sent
-  echo-noise                it does so, and now and then a random byte with it";
+  slow-rom                  replies to commands that store something come 15 ms later (an estimate)
+  bursts                    adapters hand over what they receive every 16 ms, as many USB adapters do
+  echo                      the RS485 adapter echoes what is sent
+  echo-noise                the same, with a random byte now and then";
 
 /// Serve simulated drives to other programs, in real time
 ///
-/// Without a file the drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another
-/// one that speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. A file has
-/// any number of buses, each with its own drives. What drives ignore, refuse or suffer is reported on the standard
-/// error. Ends with Ctrl-C.
+/// Without a file there are two buses: an RS485 line behind a pseudo-terminal, and a CAN bus behind another one that
+/// speaks SLCAN. Each has its own drives, with the same ids. A file has any number of buses, each with its own drives.
+/// What drives ignore, refuse or suffer is reported on the standard error. Ctrl-C ends it.
+///
+/// Exit status: 0 served until a signal, 1 not, 2 wrong usage.
 #[derive(Debug, Args)]
 #[command(after_help = FAULTS)]
 pub(super) struct Arguments {
-    /// A robot: its buses, and the motors on each, with their models, loads and faults. README.md shows one, and the
-    /// documentation of `sim::Robot` has all keys
+    /// A robot: its buses, and the motors on each, with their models, loads and faults. README.md shows one; the
+    /// documentation of `sim::Robot` lists all keys
     #[arg(value_name = "ROBOT.toml", conflicts_with_all = SAID_BY_A_FILE, conflicts_with = "only")]
     robot: Option<PathBuf>,
     /// How many motors on each bus, with ids from 1
     #[arg(long, value_name = "N", default_value_t = 4,
           value_parser = clap::value_parser!(u8).range(1..=MotorId::COUNT as i64))]
     count: u8,
-    /// All with this id instead, as motors come from the factory with 1
+    /// Give all of them this id instead; new motors have 1
     #[arg(long, value_name = "ID", value_parser = parse::motor_id)]
     same_id: Option<MotorId>,
-    /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X6-P20-60]
+    /// Their model: a name, or a file of your own whose name ends in .toml [default: RMD-X6-P20-60]
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = options::model)]
     model: Option<MotorParameters>,
     /// The revision of the protocol that they speak: v4.3 or v4.4 [default: the model's]
@@ -112,19 +113,19 @@ pub(super) struct Arguments {
     /// 12.566,45,500,5,60 [default: the model's or the firmware's; v4.4 has none of its own]
     #[arg(long, value_name = "RANGES", value_parser = parse::ranges)]
     ranges: Option<MotionRanges>,
-    /// With brakes, locked at first
+    /// Give them brakes, which are locked at first
     #[arg(long)]
     brakes: bool,
-    /// Behaviour beside the manual, see below; as often as you like
+    /// Behaviour that differs from the manual, see below; may be repeated
     #[arg(long = "quirk", value_name = "NAME", value_parser = options::quirk)]
     quirks: Vec<String>,
-    /// What goes wrong, see below; as often as you like
+    /// Something that goes wrong, see below; may be repeated
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<PlannedFault>,
-    /// Where all chance comes from [default: the file's, or 1]
+    /// The seed of all that is random [default: the file's, or 1]
     #[arg(long, value_name = "NUMBER")]
     seed: Option<u64>,
-    /// Where drives keep their settings, and where their shafts are, from one run to the next [default: nowhere]
+    /// Keep the settings of the drives, and the angles of their shafts, here from one run to the next [default: nowhere]
     #[arg(long, value_name = "FOLDER")]
     memory: Option<PathBuf>,
     /// Bit rate of the CAN bus, bit/s
@@ -136,16 +137,16 @@ pub(super) struct Arguments {
     /// Serve the CAN bus on this interface as well, such as vcan0; never on one with real motors
     #[arg(long, value_name = "INTERFACE")]
     can: Option<String>,
-    /// Serve one way only
+    /// Serve the drives in this way only
     #[arg(long, value_enum, value_name = "WAY")]
     only: Option<Way>,
-    /// Make links to the pseudo-terminals in this folder, the same in every run: rs485 and slcan, or the names
-    /// of the file's buses; one that another simulation has is refused
+    /// Make links to the pseudo-terminals in this folder, with the same names in every run: rs485 and slcan, or the
+    /// names of the file's buses. A link that another simulation has is refused
     #[arg(long, value_name = "FOLDER")]
     link: Option<PathBuf>,
     #[command(flatten)]
     control: control::Options,
-    /// Tell where they are, and what happens in them, as one JSON object a line
+    /// Print where the drives are, and what happens in them, as one JSON object a line
     #[arg(long)]
     json: bool,
 }
@@ -161,7 +162,7 @@ enum Way {
     Can,
 }
 
-/// Serves until it is told to stop.
+/// Serves until a signal ends it.
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let served = match &arguments.robot {
         Some(file) => from_file(file, arguments.seed)?,
@@ -170,7 +171,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     serving::serve(served, arguments).map_err(|error| Unfinished::Failed(error.to_string()))
 }
 
-/// The buses of a file, all behind pseudo-terminals with their names.
+/// The buses of a file, each behind a pseudo-terminal with its name.
 fn from_file(file: &Path, seed: Option<u64>) -> Result<Vec<Served>, String> {
     let mut robot = Robot::from_file(file).map_err(|error| error.to_string())?;
     if let Some(seed) = seed {

@@ -1,4 +1,4 @@
-//! `myactuator sim-control`: looks at the drives of a running `sim`, and changes what they are in.
+//! `myactuator sim-control`: looks at the drives of a running `sim`, and changes their surroundings.
 
 mod table;
 
@@ -13,20 +13,22 @@ use serde_json::{Map, Value, json};
 
 use super::{Outcome, Unfinished, arguments as parse, print_line};
 
-/// Look at the drives of a running `sim --control`, and change what they are in
+/// Look at the drives of a running `sim --control`, and change their surroundings
+///
+/// Exit status: 0 done, 1 not, 2 wrong usage.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// The socket that `sim --control` was given
     #[arg(value_name = "PATH")]
     socket: PathBuf,
-    /// Print answers as they are, one JSON object a line
+    /// Print answers as the simulation sends them, one JSON object a line
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
     command: Command,
 }
 
-/// Which motors: all of all buses unless told otherwise.
+/// Which motors: all of all buses by default.
 #[derive(Clone, Debug, Args)]
 struct Whom {
     /// On this bus only, such as can or rs485
@@ -39,12 +41,12 @@ struct Whom {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// How things truly are, whatever encoders and drives say
+    /// Show the true state, whatever encoders and drives report
     State {
         #[command(flatten)]
         whom: Whom,
     },
-    /// Fix a load to the shaft in place of the last
+    /// Put a load on the shaft in place of the last one
     Load {
         #[command(flatten)]
         whom: Whom,
@@ -52,7 +54,7 @@ enum Command {
         #[arg(value_parser = object)]
         load: Value,
     },
-    /// Push the shaft from outside, until told another torque
+    /// Push the shaft from outside, until another torque is given
     #[command(allow_negative_numbers = true)]
     Push {
         #[command(flatten)]
@@ -61,7 +63,7 @@ enum Command {
         #[arg(value_parser = parse::finite)]
         torque_nm: f64,
     },
-    /// Put the shaft to an angle, at rest
+    /// Put the shaft at an angle, at rest
     #[command(allow_negative_numbers = true)]
     Angle {
         #[command(flatten)]
@@ -70,7 +72,7 @@ enum Command {
         #[arg(value_parser = parse::finite)]
         angle_deg: f64,
     },
-    /// Change the supply; what is not given stays
+    /// Change the supply; what is not given stays as it is
     #[command(group = clap::ArgGroup::new("what").multiple(true).required(true))]
     Supply {
         #[command(flatten)]
@@ -87,12 +89,12 @@ enum Command {
         /// Capacitance at the drive's input, F
         #[arg(long, group = "what", value_name = "F", value_parser = parse::finite, allow_negative_numbers = true)]
         capacitance_f: Option<f64>,
-        /// Resistor that burns what is fed back: above which voltage it goes on, below which off, V, and its
-        /// resistance, ohm, as in 52,50,2; or none
+        /// Resistor that burns what is fed back: the voltage above which it is on, the one below which it is off, V, and
+        /// its resistance, ohm, as in 52,50,2; or none
         #[arg(long, group = "what", value_name = "ON,OFF,OHM", value_parser = brake_resistor)]
         brake_resistor: Option<Value>,
     },
-    /// Set the air's temperature, °C
+    /// Set the temperature of the air, °C
     #[command(allow_negative_numbers = true)]
     Ambient {
         #[command(flatten)]
@@ -101,19 +103,19 @@ enum Command {
         #[arg(value_parser = parse::finite)]
         ambient_c: f64,
     },
-    /// Hold temperatures, °C; what is not given goes on by itself
+    /// Hold temperatures, °C; one that is not given is simulated
     #[command(allow_negative_numbers = true)]
     Temperature {
         #[command(flatten)]
         whom: Whom,
-        /// The winding's, °C
+        /// Of the winding, °C
         #[arg(long, value_name = "C", value_parser = parse::finite)]
         motor_c: Option<f64>,
-        /// The output stage's, °C
+        /// Of the output stage, °C
         #[arg(long, value_name = "C", value_parser = parse::finite)]
         mosfet_c: Option<f64>,
     },
-    /// Have the brake stick, or work again
+    /// Make the brake stick, or work again
     Brake {
         #[command(flatten)]
         whom: Whom,
@@ -129,7 +131,7 @@ enum Command {
         #[arg(value_enum)]
         state: Cable,
     },
-    /// Have something go wrong, in the words of `sim --fault`; +TIME counts from now
+    /// Make something go wrong, in the words of `sim --fault`; +TIME counts from now
     Fault {
         /// On this bus only
         #[arg(long, value_name = "NAME")]
@@ -138,9 +140,9 @@ enum Command {
         #[arg(value_parser = fault)]
         fault: String,
     },
-    /// Tell what drives ignore, refuse and suffer from now on, until Ctrl-C
+    /// Print what drives ignore, refuse and suffer from now on, until Ctrl-C
     Log,
-    /// With sim --lock-step: let time go on by so much, and wait until it is over
+    /// With sim --lock-step: advance time by this much, and wait until that is over
     Advance {
         /// Such as 500us, 20ms or 1.5s
         #[arg(value_parser = time_us)]
@@ -160,9 +162,9 @@ enum Brake {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Cable {
-    /// The motor hears and says nothing
+    /// The motor neither hears nor answers
     Cut,
-    /// It does again
+    /// The motor hears and answers again
     #[value(alias = "mend")]
     Whole,
 }
@@ -172,7 +174,7 @@ fn object(text: &str) -> Result<Value, String> {
     if value.is_object() { Ok(value) } else { Err("expected a JSON object".into()) }
 }
 
-/// `null` for none.
+/// `null` means none.
 fn brake_resistor(text: &str) -> Result<Value, String> {
     if text == "none" {
         return Ok(Value::Null);
@@ -191,7 +193,7 @@ fn brake_resistor(text: &str) -> Result<Value, String> {
     }
 }
 
-/// Looked at here, so that what is wrong is reported as for `sim --fault`.
+/// Parsed here, so that a mistake is reported as for `sim --fault`.
 fn fault(text: &str) -> Result<String, String> {
     text.parse::<PlannedFault>().map(|_| text.to_owned()).map_err(|error| error.to_string())
 }
@@ -201,7 +203,7 @@ fn time_us(text: &str) -> Result<u64, String> {
 }
 
 impl Whom {
-    /// A request to these with this name, and what else it takes.
+    /// A request of this name to these motors, with its other values.
     fn request(&self, name: &str, takes: Value) -> Value {
         let mut all = match takes {
             Value::Object(takes) => takes,
@@ -241,7 +243,7 @@ impl Command {
                     "capacitance_f": capacitance_f,
                 });
                 let mut request = whom.request("supply", takes);
-                // Null, which takes it away, is not the same as nothing.
+                // Null removes it; to leave it out changes nothing.
                 if let Some(brake_resistor) = brake_resistor {
                     request["supply"]["brake_resistor"] = brake_resistor.clone();
                 }
@@ -274,7 +276,7 @@ impl Command {
     }
 }
 
-/// Asks, and prints the answer; the log goes on until the simulation ends.
+/// Sends the request and prints the answer. The log goes on until the simulation ends.
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let path = arguments.socket.display();
     let broken = |error: io::Error| {
@@ -288,8 +290,9 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let Some(answer) = lines.next() else {
         return Err(broken(io::ErrorKind::UnexpectedEof.into()));
     };
-    let answer: Value = serde_json::from_str(&answer.map_err(broken)?)
-        .map_err(|error| Unfinished::Failed(format!("{path} is no simulation's: {error}")))?;
+    let answer: Value = serde_json::from_str(&answer.map_err(broken)?).map_err(|error| {
+        Unfinished::Failed(format!("{path} is not the socket of a simulation: {error}"))
+    })?;
     if let Some(sentence) = answer["error"].as_str() {
         return Err(Unfinished::Failed(sentence.to_owned()));
     }

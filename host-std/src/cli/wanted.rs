@@ -15,19 +15,19 @@ pub(super) enum Wanted {
     Table(FromTable),
 }
 
-/// Eight bytes of your own, the command byte first, for what this program does not know
+/// Eight bytes of your own, the command byte first, for commands that this program does not know
 ///
-/// They are sent once, whatever comes. Where the table has the command byte, what it says of answers
-/// and of motion holds. A reply is explained by --firmware, else as one of v4.3.
+/// They are sent once, and never again. If the table has the command byte, it overrides --reply and --moves. A reply is
+/// explained as one of --firmware, else of v4.3.
 #[derive(Debug, clap::Args)]
 pub(super) struct Raw {
     /// The bytes, hexadecimal, with spaces or commas or without: C0 01 00 00 00 00 00 00.
     #[arg(value_name = "BYTES", required = true)]
     bytes: Vec<String>,
-    /// How a motor answers.
+    /// How a motor replies.
     #[arg(long, value_enum, default_value_t = Answer::Values)]
     reply: Answer,
-    /// It may set the motor in motion, or let its load fall.
+    /// The command may set the motor in motion, or let its load fall.
     #[arg(long)]
     moves: bool,
 }

@@ -8,19 +8,25 @@ use myactuator_protocol_core::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::{MotorId, Opcode};
 
+use super::help::SIGNALS;
 use super::moving::{LONGEST_WAIT, told_with_stop};
 use super::session::{OneMotor, Session, say};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, report};
 
 /// Release or lock a motor's brake
 ///
-/// The brake of a motor that turns and runs something is not locked: stop it first. If one that held does not stand behind
-/// its brake, that is opened again and the motor holds (0x77, 0x81). A release lets the shaft go, and a load with it,
-/// so two motors with the same id are refused; 'speed' and 'move' open a brake by themselves, and hold. Exit status: 0 if the motor has
-/// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
+/// A release lets the shaft go, and a load with it, so two motors with the same id are refused. 'speed' and 'move' need no
+/// release: they open the brake, and hold. Ctrl-C ends a release at once.
+///
+/// A lock is refused while the motor turns and runs something: stop it first. After a lock the shaft must stand. If it
+/// does not, and the motor held it before, the brake is opened again and the motor holds (0x77, 0x81). Ctrl-C ends this
+/// program when the lock is finished.
+///
+/// A release is done when the motor has acknowledged it; a lock when the motor also reports it, and its shaft stands.
+///
+/// Exit status: 0 done, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("A signal ends a release at once; a lock is finished first.\n{ENDS_LATER}"))]
+#[command(after_help = SIGNALS)]
 pub(in crate::cli) struct Arguments {
     /// What to do with it.
     #[arg(value_enum)]

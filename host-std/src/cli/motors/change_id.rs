@@ -4,20 +4,24 @@ use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{MotorId, Target};
 
+use super::help::SIGNALS;
 use super::on_bus::OnBus;
 use super::session::{Consent, Session, say};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Give a motor another id
 ///
-/// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off, keeps the id in
-/// its ROM and restarts; its whole turns are lost with that unless multi-turn saving (function 4) is on. It is told by
-/// function 5 (0x20), which names it; if it does not acknowledge that, and is the only one on the bus, by 0x79, which
-/// all obey. Two motors with the same id are refused: connect only one of them. Ctrl-C ends this program when the change
-/// is finished. Exit status: 0 if it answers under the new id, 1 if not, 2 for wrong usage.
+/// If the motor has a brake that is open, it is locked (0x78). The motor is switched off (0x80), stores the id in its ROM
+/// and restarts. The id is set by function 5 (0x20), which names the motor. If the motor does not acknowledge that and is
+/// the only one on the bus, the id is set by 0x79, which all motors obey. Ctrl-C ends this program when the change is
+/// finished.
+///
+/// Whole turns are lost with the restart unless multi-turn saving (function 4) is on. A motor that turns is refused: stop
+/// it first. So are two motors with the same id: connect only one of them.
+///
+/// Exit status: 0 answers under the new id, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS_LATER)]
+#[command(after_help = SIGNALS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,

@@ -15,12 +15,6 @@ use super::session::{Motors, Session, say};
 use super::together::Together;
 use crate::cli::{Outcome, Unfinished};
 
-/// How a stop of all goes, for the help.
-pub(super) const OF_ALL: &str = "\
-A stop of all takes about 1 s on CAN and 2 s on RS485 at 115200 bit/s (4 s where nobody answers), to listen and to wait \
-for ids that no motor has: motors are told at its beginning. A motor that says nothing at all is like none: it is not named.
-A serial bus (slcan:, rs485:) can be opened by one program at a time: if another moves the motors, end that one.";
-
 /// How often the stop to all goes on a line: as often as a motor by itself is sent one that it does not confirm.
 const STOPS_OF_LINE: usize = 15;
 /// How often ids are asked on a line that do not answer.

@@ -8,6 +8,7 @@ mod change_id;
 mod elsewhere;
 mod group;
 mod halt;
+mod help;
 mod hints;
 mod motion;
 mod move_to;
@@ -32,15 +33,19 @@ mod torque;
 mod zero;
 
 use super::Outcome;
-use super::interrupt::ENDS_LATER;
+use help::{HOLDS, OF_ALL, SERIAL, SIGNALS, paragraphs};
 
 /// What can be done with motors.
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Subcommand {
     Scan(scan::Arguments),
     /// Tell what motors are: model, software, run time, mode, state and zero
+    ///
+    /// Exit status: 0 every motor read, 1 not, 2 wrong usage.
     Info(status::Arguments),
     /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
+    ///
+    /// Exit status: 0 every motor read, 1 not, 2 wrong usage.
     Status(status::Arguments),
     Move(move_to::Arguments),
     Speed(speed::Arguments),
@@ -48,17 +53,27 @@ pub(super) enum Subcommand {
     Motion(motion::Arguments),
     /// Stop motors at once (0x81): they hold still
     ///
-    /// For 250 ms after that it is seen whether another program goes on commanding them: one that does so less often
-    /// than that passes unnoticed. Exit status: 1 if one of them has not confirmed, goes on turning, or does not hold:
-    /// it reports an error, runs nothing, or does not tell.
-    #[command(after_help = format!("{}\n\n{ENDS_LATER}\n\n{}", halt::OF_ALL, moving::HOLDS))]
+    /// The motors get the command and must confirm it. For 250 ms after that the program listens whether another program
+    /// goes on commanding them; one that sends less often is not noticed. Then it waits until they stand, and asks
+    /// whether they hold.
+    ///
+    /// A motor does not count as stopped if it does not confirm, goes on turning, reports an error, does not answer, or
+    /// runs nothing without a locked brake.
+    ///
+    /// Exit status: 0 stopped, 1 not, 2 wrong usage.
+    #[command(after_help = paragraphs([OF_ALL, SERIAL, SIGNALS, HOLDS]))]
     Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
-    /// A brake takes some 50 to 150 ms to lock: where a load could fall, 'myactuator stop' and 'myactuator brake lock' come
-    /// before it. For 250 ms after that it is seen whether another program commands them, which switches them on again:
-    /// one that does so less often than that passes unnoticed.
-    #[command(after_help = format!("{}\n\n{ENDS_LATER}", halt::OF_ALL))]
+    /// The motors get the command and must confirm it. For 250 ms after that the program listens whether another program
+    /// commands them, which switches them on again; one that sends less often is not noticed. A motor does not count as
+    /// off if it does not confirm, or if another program commands it.
+    ///
+    /// A brake takes some 50 to 150 ms to lock. Where a load could fall, use 'myactuator stop' and 'myactuator brake lock'
+    /// first.
+    ///
+    /// Exit status: 0 off, 1 not, 2 wrong usage.
+    #[command(after_help = paragraphs([OF_ALL, SERIAL, SIGNALS]))]
     Shutdown(session::Motors),
     Brake(brake::Arguments),
     Zero(zero::Arguments),

@@ -5,20 +5,21 @@ use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::quantity::MotionScale;
 use myactuator_protocol_core::{MotorId, Opcode};
 
-use super::moving::{ENDS, HOLDS};
+use super::help::{HOLDS, SIGNALS, STOPS, paragraphs};
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::Session;
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
-/// A shaft beyond the scale of positions is not moved. A locked brake is released first and stays open, for the motor
-/// holds still at the end. Ctrl-C and errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2
-/// for wrong usage.
+/// A locked brake is released first. It stays open, because the motor holds still at the end.
+///
+/// A shaft beyond the scale of positions is not moved. Ctrl-C and errors stop the motor (0x81) at once.
+///
+/// Exit status: 0 has run, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}\n\n{HOLDS}"))]
+#[command(after_help = paragraphs([STOPS, SIGNALS, HOLDS]))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

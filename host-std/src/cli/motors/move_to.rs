@@ -14,12 +14,11 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 use myactuator_protocol_core::{MotorId, Opcode};
 
-use super::moving::{ENDS, HOLDS};
+use super::help::{HOLDS, SIGNALS, STOPS, paragraphs};
 use super::progress::Progress;
 use super::run_for::seconds;
 use super::session::Session;
 use super::session::{OneMotor, say};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// What ends that; nothing reads back whether it is set.
@@ -27,12 +26,15 @@ const UNLESS_PROTECTED: &str = " unless its protection (0xB3) ends that";
 
 /// Move a motor to an angle, or by one, and watch it arrive
 ///
-/// It has arrived when it stands within 0.2 degrees of the target; then it holds its position until it
-/// is told something else. If it does not arrive in time, reports an error or Ctrl-C is pressed, it is
-/// stopped (0x81) and holds with all its torque, but with --press where it has met something. Exit status: 0
-/// if it has arrived or presses, 1 if not, 2 for wrong usage.
+/// The motor has arrived when it stands within 0.2 degrees of the target. It then holds its position until it gets
+/// another command.
+///
+/// If it does not arrive in time or reports an error, or if Ctrl-C is pressed, it is stopped (0x81) and holds with all
+/// its torque. With --press it is not stopped where it has met something: it goes on pressing.
+///
+/// Exit status: 0 arrived or pressing, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}\n\n{HOLDS}"))]
+#[command(after_help = paragraphs([STOPS, SIGNALS, HOLDS]))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

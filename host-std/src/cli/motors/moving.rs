@@ -26,22 +26,6 @@ pub(super) const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 /// How long to wait at the most before looking at the bus again, or whether the user interrupts.
 pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
-/// What stops a motor, and what cannot, for the help of those that move it.
-pub(super) const ENDS: &str = "\
-What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
-a request to end (SIGTERM and whatever else can be caught) and a lost terminal, also while nobody reads what it \
-prints. If another program on the \
-bus stops the motor or switches it off, that ends this one. Ctrl-C once more does not wait until the motor stands.
-Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
-power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
-protection: myactuator timeout.";
-
-/// What ends holding still, or a position, for the help of those after which a motor does that.
-pub(super) const HOLDS: &str = "\
-Holding ends where the motor's communication-loss protection (0xB3) is set, by 'myactuator timeout' or another: nobody \
-speaks to the motor any more, and when that time is up its output is off and its shaft free unless it has a brake, which \
-takes some 50 to 150 ms to lock: where a load could fall, 'myactuator brake lock' comes before.";
-
 /// What is true of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 

@@ -14,9 +14,9 @@ const VARIABLE: &str = "MYACTUATOR_BUS";
 /// Which bus.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct OnBus {
-    /// The bus: can0, slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200, or N simulated motors: sim,
-    /// sim:N, sim:N,rs485 [default: the environment's MYACTUATOR_BUS, else sim for what only reads].
-    /// Behind rs485:..., ",echo" says that the adapter hands back what it sends; else that is found out.
+    /// The bus: can0, slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200, or N simulated motors: sim, sim:N,
+    /// sim:N,rs485. After rs485:..., ",echo" says that the adapter echoes what it sends; without it the program
+    /// finds out [default: MYACTUATOR_BUS of the environment, else sim for commands that only read].
     #[arg(long, global = true, value_name = "ADDRESS")]
     bus: Option<BusAddress>,
 }

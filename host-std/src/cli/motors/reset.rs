@@ -5,18 +5,21 @@ use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{MotorId, Opcode};
 
+use super::help::SIGNALS;
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
-use crate::cli::interrupt::ENDS_LATER;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
-/// The shaft is free meanwhile unless a brake holds it, which is locked first where it is open (0x78), and whole turns
-/// are lost unless multi-turn saving (function 4) is on, so a turning motor is refused: stop it first. So are two motors
-/// with the same id. Ctrl-C ends this program when the motor has restarted. Exit status: 0 if the motor has restarted and
-/// has no error, 1 if not, 2 for wrong usage.
+/// If the motor has a brake that is open, it is locked first (0x78). Ctrl-C ends this program when the motor has
+/// restarted.
+///
+/// During the restart the shaft is free unless a brake holds it, and whole turns are lost unless multi-turn saving
+/// (function 4) is on. A motor that turns is refused: stop it first. So are two motors with the same id.
+///
+/// Exit status: 0 restarted and without an error, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS_LATER)]
+#[command(after_help = SIGNALS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

@@ -10,12 +10,12 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// What the user says of a motor.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct MotorRevision {
-    /// The revision of the protocol that the motor speaks, v4.3 or v4.4 [default: the one that its
-    /// version date (0xB2) leads to, where that is known].
+    /// The revision of the protocol that the motor speaks, v4.3 or v4.4 [default: that of its version date (0xB2), if
+    /// that is a known one].
     #[arg(long, global = true, value_parser = parse::firmware)]
     pub(super) firmware: Option<Firmware>,
-    /// The scales of its motion mode [default: the firmware's own, where it has them]: the largest
-    /// position, velocity, kp, kd and torque, as in 12.5,45,500,5,24. Wrong ones multiply the torque.
+    /// The scales of its motion mode: the largest position, velocity, kp, kd and torque, as in 12.5,45,500,5,24. Wrong
+    /// scales multiply the torque [default: the firmware's own, if it has them].
     #[arg(long, global = true, value_parser = parse::ranges)]
     pub(super) ranges: Option<MotionRanges>,
 }

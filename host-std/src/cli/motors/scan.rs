@@ -21,13 +21,13 @@ const CAN_RATES: [Rate; 2] = [Rate::Mbit1, Rate::Kbit500];
 
 /// Find out which motors are on a bus: ids 1 to 32 are asked
 ///
-/// Exit status: 0 if any motor answers, 1 if none does.
+/// Exit status: 0 a motor answers, 1 none does, 2 wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,
     /// Try every bit rate that motors can have, on RS485 and SLCAN. On a CAN bus a wrong rate
-    /// disturbs those who talk: let no motor run meanwhile.
+    /// disturbs all others: let no motor run meanwhile.
     #[arg(long)]
     all_rates: bool,
     /// Print one JSON object a motor, with a note if two seem to have its id.

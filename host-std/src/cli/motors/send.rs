@@ -11,24 +11,28 @@ use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
-use super::moving::{ENDS, LONGEST_WAIT, named};
+use super::help::{SIGNALS, STOPS, paragraphs};
+use super::moving::{LONGEST_WAIT, named};
 use super::on_bus::OnBus;
 use super::revision::MotorRevision;
 use super::session::{Consent, Session, needs_consent, say, sets_gains};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
 /// Send one command to a motor or to all, and explain what is answered
 ///
-/// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so: 'myactuator stop'
-/// ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped (0x81). To all goes one frame
-/// that all hear. Where two motors seem to have the id, or it does not answer, what writes memory, restarts a motor,
-/// lets its shaft go or is not known here is refused; what moves it goes to both, and you are told. That is not
-/// looked at for what only reads or ends motion, for 0xB6, or for all motors. Exit status: 0 if it was sent and answered by
-/// each motor that had to, 1 if not, 2 for wrong usage.
+/// The command is one of the table, by its name, or eight bytes of your own. A command to all is one frame that all hear.
+///
+/// A command that sets a motor in motion leaves it moving: 'myactuator stop' ends that. If such a command is not answered,
+/// or Ctrl-C is pressed, the motor is stopped (0x81).
+///
+/// If two motors seem to have the id, or no motor answers, a command that writes memory, restarts a motor, lets its shaft
+/// go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for commands
+/// that only read or end motion, for 0xB6, and for all motors.
+///
+/// Exit status: 0 sent, and answered by each motor that had to, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(arg_required_else_help = false, after_help = format!("{ENDS}\n\n{ENDS_LATER}"))]
+#[command(arg_required_else_help = false, after_help = paragraphs([STOPS, SIGNALS]))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,

@@ -5,16 +5,17 @@ use myactuator_protocol_core::command::{self as c, Feedback};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
-use super::moving::{ENDS, HOLDS};
+use super::help::{HOLDS, SIGNALS, STOPS, paragraphs};
 use super::run_for::{self, Run, Span};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, arguments as parse};
 
 /// Turn a motor at a speed for a while, then stop it: it holds still (0x81)
 ///
-/// Ctrl-C and errors stop it (0x81) at once. Exit status: 0 if it has run, 1 if not, 2 for wrong usage.
+/// Ctrl-C and errors stop it (0x81) at once.
+///
+/// Exit status: 0 has run, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}\n\n{HOLDS}"))]
+#[command(after_help = paragraphs([STOPS, SIGNALS, HOLDS]))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

@@ -11,7 +11,7 @@ use super::group::Group;
 use super::session::{Motors, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
 
-/// Exit status: 0 if every motor was read, else 1.
+/// Which motors, and how they are printed.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]

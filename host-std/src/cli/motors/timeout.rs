@@ -4,22 +4,25 @@ use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{MotorId, Opcode};
 
+use super::help::SIGNALS;
 use super::session::{OneMotor, say};
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, arguments as parse, report};
 
 /// Below this it is shorter than this program may take to speak to a motor.
 const SHORT_MS: u32 = 50;
 
-/// Set after how long without a command a motor cuts its output by itself (0xB3)
+/// Set after how long without a command a motor cuts its output on its own (0xB3)
 ///
-/// It is what stops a motor when the master is killed or the bus is cut. The motor keeps it in its ROM. A
-/// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
-/// This program speaks to a motor that it moves every 10 to 20 ms, and later on a busy machine: below 50 ms the
-/// protection may end what it does. Two motors with the same id are refused. Ctrl-C ends this program when the motor has
-/// acknowledged. Exit status: 0 if it has, 1 if not, 2 for wrong usage.
+/// This communication-loss protection stops a motor when its master is killed or the bus is cut. The motor stores the
+/// time in its ROM. Ctrl-C ends this program when the motor has acknowledged.
+///
+/// A motor that holds its position lets go, too, when it hears nothing for that time; a brake locks then. While this
+/// program moves a motor it sends every 10 to 20 ms, and less often on a busy machine: below 50 ms the protection may end
+/// a movement. Two motors with the same id are refused.
+///
+/// Exit status: 0 acknowledged, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS_LATER)]
+#[command(after_help = SIGNALS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

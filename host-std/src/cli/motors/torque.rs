@@ -5,19 +5,21 @@ use myactuator_protocol_core::command as c;
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::Current;
 
-use super::moving::ENDS;
+use super::help::{HOLDS, SIGNALS, STOPS, paragraphs};
 use super::run_for::{self, Run, Span};
 use super::speed::told;
-use crate::cli::interrupt::ENDS_LATER;
 use crate::cli::{Outcome, arguments as parse};
 
 /// Run a motor at a torque current for a while, then stop it (0x81) and switch it off behind its brake (0x78, 0x80)
 ///
-/// Nothing limits the speed. A locked brake is released first. One that ran something before, or has no brake, is not
-/// switched off but holds still (0x81) at the end, so that no load falls. Ctrl-C and errors stop the motor (0x81)
-/// at once: it holds still, its brake open. Exit status: 0 if it has run, 1 if not, 2 for wrong usage.
+/// A locked brake is released first. A motor that ran something before, or that has no brake, is not switched off at the
+/// end: it holds still (0x81), so that no load falls.
+///
+/// Nothing limits the speed. Ctrl-C and errors stop the motor (0x81) at once: it holds still, with its brake open.
+///
+/// Exit status: 0 has run, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = format!("{ENDS}\n\n{ENDS_LATER}"))]
+#[command(after_help = paragraphs([STOPS, SIGNALS, HOLDS]))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

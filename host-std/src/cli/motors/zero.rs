@@ -4,18 +4,21 @@ use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::{MotorId, Opcode};
 
+use super::help::SIGNALS;
 use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
-use crate::cli::interrupt::ENDS_LATER;
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
-/// The motor's brake, if it has one, is locked where it is open (0x78); then the motor is switched off (0x80), stores
-/// its position as zero in its ROM (0x64) and restarts (0x76); then zero and angle are read back. Ctrl-C ends this
-/// program when that is finished. Two motors with the same id are refused. Exit status: 0 if the zero is kept, 1 if not,
-/// 2 for wrong usage.
+/// If the motor has a brake that is open, it is locked (0x78). The motor is switched off (0x80), stores its position as
+/// zero in its ROM (0x64) and restarts (0x76). Then zero and angle are read back. Ctrl-C ends this program when that is
+/// finished.
+///
+/// A motor that turns is refused: stop it first. So are two motors with the same id.
+///
+/// Exit status: 0 zero kept, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS_LATER)]
+#[command(after_help = SIGNALS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

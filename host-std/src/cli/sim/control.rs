@@ -8,11 +8,11 @@ use serde_json::json;
 
 #[derive(Debug, Args)]
 pub(super) struct Options {
-    /// Make a socket here by which programs, and sim-control, look at the drives and change their loads,
-    /// supply, faults, cables and brakes
+    /// Make a socket here through which programs, and sim-control, look at the drives and change their loads, supply,
+    /// faults, cables and brakes
     #[arg(long, value_name = "PATH")]
     control: Option<PathBuf>,
-    /// Let time stand until a program at the control socket says how far it may go
+    /// Stop time; only a program at the control socket advances it
     #[arg(long, requires = "control")]
     lock_step: bool,
 }
@@ -22,7 +22,7 @@ impl Options {
         self.lock_step
     }
 
-    /// Gives the line that says where the socket is.
+    /// Returns the line that says where the socket is.
     pub(super) fn apply(
         &self,
         server: &mut Server,
@@ -39,7 +39,7 @@ impl Options {
             let path = path.display();
             let time = if self.lock_step {
                 format!(
-                    "   time stands until it is told to go on: myactuator sim-control {path} advance 10ms"
+                    "   time stands still; to advance it: myactuator sim-control {path} advance 10ms"
                 )
             } else {
                 String::new()
