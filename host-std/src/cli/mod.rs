@@ -101,7 +101,7 @@ fn parse_sentence(error: &clap::Error) -> String {
     let sentence = words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ");
     let stray = error.get(ContextKind::InvalidArg).map(ToString::to_string);
     match error.kind() {
-        ErrorKind::InvalidSubcommand => format!("{sentence}; --help lists those that there are"),
+        ErrorKind::InvalidSubcommand => format!("{sentence}; --help lists them"),
         ErrorKind::UnknownArgument if stray.is_some_and(|it| arguments::target(&it).is_ok()) => {
             format!("{sentence}; if a motor is meant, --id names it")
         }

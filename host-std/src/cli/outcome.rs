@@ -93,7 +93,7 @@ pub(super) fn say(line: &str) -> Outcome {
 /// What was asked is done, and cannot be said.
 fn unsaid(error: &io::Error) -> Unfinished {
     match unwritten(error) {
-        Unfinished::Failed(why) => Unfinished::Failed(format!("{why}; all that was asked is done")),
+        Unfinished::Failed(why) => Unfinished::Failed(format!("{why}; the command itself is done")),
         other => other,
     }
 }

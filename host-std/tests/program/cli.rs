@@ -284,7 +284,7 @@ fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
         (vec!["encode", "--id", "1", "stop", "--hard"], "'--hard'"),
         (vec!["encode", "--bus", "spi", "--id", "1", "stop"], "[possible values: can, rs485]"),
         (vec!["encode", "--id", "1"], "requires a subcommand"),
-        (vec!["encode", "nonsense"], "'nonsense'; --help lists those that there are"),
+        (vec!["encode", "nonsense"], "'nonsense'; --help lists them"),
         (vec!["decode", "--direction", "up"], "[possible values: command, reply]"),
         (vec!["decode", "--binary", "--bus", "can"], "--binary"),
         (vec!["decode", "no-such-file"], "\"no-such-file\" is neither a frame on can nor a file"),

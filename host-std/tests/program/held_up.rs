@@ -298,7 +298,7 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
         let (told, errors) = (text(&ended.stdout), text(&ended.stderr));
         assert!(told.contains(done), "{}: {told}{errors}", ended.status);
         // Nobody waits for that without a word, and a loop of a shell does not go on to the next motor.
-        let why = "note: interrupted: what was begun is finished first, so that nothing is left half written\n";
+        let why = "note: interrupted: this command is finished first, so that nothing is left half written\n";
         assert_eq!(errors, why, "{what:?}: {} {told}", ended.status);
         assert!(died_of(Signal::INT, ended.status), "{what:?}: {}", ended.status);
     }

@@ -231,10 +231,10 @@ fn a_command_to_all_is_answered_by_each() {
 fn stop_and_shutdown_reach_one_or_all() {
     let others = "; no other id has confirmed: a motor that is not named here may go on";
     let by_brakes =
-        "are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them";
+        "are stopped and run nothing (mode 0): their brakes hold them, which they report as locked";
     let all = format!("motors 1 2 3 4 {by_brakes}");
     assert_eq!(done("stop"), [format!("{all}{others}")]);
-    let by_brake = "motor 2 is stopped and runs nothing (mode 0): its brake, which it says is locked, holds it";
+    let by_brake = "motor 2 is stopped and runs nothing (mode 0): its brake holds it, which it reports as locked";
     assert_eq!(done("stop --id 2"), [by_brake]);
     let off = "are off (0x80): their shafts are free unless brakes hold them";
     assert_eq!(
@@ -287,7 +287,7 @@ fn a_motor_is_restarted_and_protected() {
         let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 500"));
         assert!(told[0].starts_with("motor 2 cuts its output when it hears nothing for 500 ms"));
         let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 0"));
-        assert_eq!(told, ["motor 2: the protection against loss of communication is off"]);
+        assert_eq!(told, ["motor 2: the communication-loss protection is off"]);
     }
 }
 
@@ -299,8 +299,8 @@ fn a_protection_shorter_than_this_program_speaks_is_told_of() {
         text(&output.stderr).to_owned()
     };
     let told = beside("49");
-    let note = "note: below 50 ms the protection may end what this program does: it speaks to a motor that it moves \
-                every 10 to 20 ms, and later on a busy machine\n";
+    let note = "note: below 50 ms the protection may end a movement of this program: it sends every 10 to 20 ms, and \
+                less often on a busy machine\n";
     assert!(told.ends_with(note), "{told}");
     for millis in ["0", "50"] {
         assert!(!beside(millis).contains("note"), "{millis}");
@@ -410,7 +410,7 @@ fn the_environment_names_a_bus_and_the_command_line_another() {
     let with = |bus: &str, arguments: &[&str]| {
         myactuator().env("MYACTUATOR_BUS", bus).args(arguments).output().unwrap()
     };
-    let stopped = "motors 1 2 are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them; no \
+    let stopped = "motors 1 2 are stopped and run nothing (mode 0): their brakes hold them, which they report as locked; no \
                    other id has confirmed: a motor that is not named here may go on\n";
     assert_eq!(text(&with("sim:2", &["stop"]).stdout), stopped);
     assert_eq!(text(&with("sim:3", &["stop", "--bus", "sim:2"]).stdout), stopped);

@@ -42,7 +42,7 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
     let bus = simulation.bus("slcan");
     let motion = "motion --id 1 --position-rad 0 --kp 40 --kd 2 --firmware v4.3 --for-s 0.2";
     let beyond =
-        "error: motor 1 is at 1800 deg (31.42 rad), and motion mode knows -12.5 to 12.5 rad";
+        "error: motor 1 is at 1800 deg (31.42 rad), and motion mode reaches from -12.5 to 12.5 rad";
     // Nobody is asked in vain.
     control(socket, &["angle", "--id", "1", "1800"]);
     let (process, _keys, told) = asked(&format!("{motion} --bus {bus}"));

@@ -76,7 +76,7 @@ impl Drop for Ends<'_> {
 
 /// Whether a program says that a motor did not answer.
 pub(crate) fn tells_of_silence(told: &str) -> bool {
-    let silence = ["no reply", "does not answer", "does not tell", "but not always"];
+    let silence = ["no reply", "does not answer", "errors cannot be read", "but not always"];
     silence.iter().any(|words| told.contains(words))
 }
 

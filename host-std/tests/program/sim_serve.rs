@@ -230,7 +230,7 @@ fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
     assert_eq!(
         told,
         "error: motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that; motor 2 has confirmed the stop (0x81) but reports an error \
-         (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft; no other id has \
+         (motor stalled), for which a drive cuts its output: only a locked brake holds its shaft; no other id has \
          confirmed: a motor that is not named here may go on\n"
     );
     assert_eq!(status, Some(1));

@@ -66,7 +66,7 @@ fn lock(session: &mut Session, motor: MotorId) -> Outcome {
     match session.lock_brake(motor)? {
         Lock::Holds => say(&format!("motor {motor}: brake locked")),
         Lock::IsNotThere => Err(Unfinished::Failed(format!(
-            "motor {motor}: the brake was told to lock, and the motor says that it was not"
+            "motor {motor}: the brake was told to lock (0x78), but the motor does not report that: it may have no brake"
         ))),
         Lock::Slips { why, holds: None } => Err(session.hold_again(motor, why)),
         Lock::Slips { why, .. } => Err(why),
@@ -126,7 +126,7 @@ impl Session {
         outcome.map_err(|error| match error {
             BringUpError::Call(error) => match self.failed(error) {
                 Unfinished::Failed(told) => {
-                    Unfinished::Failed(format!("{told}; its brake may be open all the same"))
+                    Unfinished::Failed(format!("{told}; its brake may be open even so"))
                 }
                 other => other,
             },
@@ -164,8 +164,8 @@ fn warn_of(motor: MotorId, says: BrakeCommand) {
     report(
         "warning",
         format!(
-            "motor {motor} has acknowledged the release of its brake (0x77) and says {says} all the \
-             same, as firmware 2025070202 does while it obeys no command: see that the shaft is free"
+            "motor {motor} has acknowledged the release of its brake (0x77) but still reports {says}, \
+             as firmware 2025070202 does while it obeys no command: check that the shaft is free"
         ),
     );
 }

@@ -62,7 +62,7 @@ impl Watched {
         if self.finished_first.take_if(|flag| flag.load(Ordering::Relaxed)).is_some() {
             report(
                 "note",
-                "interrupted: what was begun is finished first, so that nothing is left half written",
+                "interrupted: this command is finished first, so that nothing is left half written",
             );
         }
     }

@@ -109,7 +109,7 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
         )
     } else {
         format!(
-            "{why}confirmation of the stop from {} only: cut the power of {others} on {address}",
+            "{why}the stop is confirmed by {} only: cut the power of {others} on {address}",
             named(confirmed),
         )
     }))
@@ -255,7 +255,7 @@ mod tests {
         session.ask(MotorId::MIN, ActiveReply { command, enable: Switch::On, interval }).unwrap();
         let outcome = stop_every_id(&mut session, StopKind::Hold);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("from motor 2 only: cut the power of motor 1 on"), "{told}");
+        assert!(told.contains("by motor 2 only: cut the power of motor 1 on"), "{told}");
     }
 
     #[test]
@@ -292,8 +292,7 @@ mod tests {
             fleet.world.mend(stations[answers]);
             let outcome = stop_every_id(&mut session, StopKind::Hold);
             let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-            let only =
-                format!("from motor {} only: cut the power of motor {}", answers + 1, cut + 1);
+            let only = format!("by motor {} only: cut the power of motor {}", answers + 1, cut + 1);
             assert!(told.contains(&only), "{told}");
         }
     }
@@ -318,7 +317,7 @@ mod tests {
         let fleet = Fleet::new(32).faults(faults).on_can(1_000_000).unwrap();
         let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Off);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        let some = "the bus carries nothing; confirmation of the stop from motors 1 ";
+        let some = "the bus carries nothing; the stop is confirmed by motors 1 ";
         assert!(told.starts_with(some), "{told}");
         assert!(told.ends_with(" only: cut the power of the others on sim:1"), "{told}");
     }
@@ -422,7 +421,7 @@ mod tests {
         let is_off = "motor 1 is off (0x80): its shaft is free unless a brake holds it".to_owned();
         assert_eq!(told_of_first(&[(off, 100)]), (is_off.clone(), false));
         assert_eq!(told_of_first(&[(off, 1_000)]), (is_off, false));
-        let on_again = "motor 1 was switched off and on again by something else on this bus: how it stands is not known";
+        let on_again = "motor 1 was switched off and on again by something else on this bus: its state is not known";
         assert_eq!(told_of_first(&[(off, 100), (on, 1_000)]), (on_again.to_owned(), true));
     }
 
@@ -531,7 +530,7 @@ mod tests {
         let found = session.meant(Target::All).map(|_| ());
         for told in [stopped, found] {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-            assert!(told.contains("bytes come that are no frame (do two motors"), "{told}");
+            assert!(told.contains("bytes arrive that are no valid frame (do two motors"), "{told}");
         }
         // Of a third one that is there, too, they are told beside it.
         let third = MotorId::new(2).unwrap();
@@ -548,7 +547,7 @@ mod tests {
         fleet.world.cut(fleet.drives[0].station());
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let Err(Unfinished::Failed(told)) = session.meant(Target::All) else { panic!() };
-        assert!(!told.contains("bytes come"), "{told}");
+        assert!(!told.contains("bytes arrive"), "{told}");
     }
 
     #[test]
@@ -561,7 +560,7 @@ mod tests {
             let Err(Unfinished::Failed(told)) = halt(&mut session, meant, StopKind::Hold) else {
                 panic!("its answer is the same bytes as the echo");
             };
-            assert!(told.contains("leave ',echo' away"), "{told}");
+            assert!(told.contains("leave out ',echo'"), "{told}");
         }
     }
 

@@ -12,7 +12,7 @@ use crate::cli::{Outcome, Unfinished, report};
 
 /// What came that cannot be understood, on RS485.
 const NO_FRAME: &str =
-    "bytes come that are no frame (do two motors have one id? connect only one of them)";
+    "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
 
 impl Session {
     /// What is to be typed for this on this bus.
@@ -48,7 +48,7 @@ impl Session {
     pub(super) fn not_brought_up(&self, error: BringUpError<BusError>) -> Unfinished {
         match error {
             BringUpError::NotThere(_) => Unfinished::Failed(format!(
-                "{error}: check its power, the wiring and the bit rate, which may be another since a restart ({})",
+                "{error}: check its power, the wiring and the bit rate, which may have changed with the restart ({})",
                 self.other_rates()
             )),
             error => error.into(),
@@ -67,10 +67,10 @@ impl Session {
         }
         match &self.address {
             BusAddress::Rs485 { path, .. } => {
-                format!("; if the adapter speaks SLCAN, name it slcan:{}@1000000", path.display())
+                format!("; if the adapter speaks SLCAN, use slcan:{}@1000000", path.display())
             }
             BusAddress::Slcan { path, .. } => {
-                format!("; if the adapter is for RS485, name it rs485:{}@115200", path.display())
+                format!("; if the adapter is for RS485, use rs485:{}@115200", path.display())
             }
             _ => String::new(),
         }
@@ -87,7 +87,7 @@ impl Session {
                 "remove the cause, then restart the motor: {reset} (0x76), or switch its supply off and on"
             )
         } else {
-            "it runs again by itself once the cause is gone".to_owned()
+            "it runs again on its own once the cause is gone".to_owned()
         };
         Err(Unfinished::Failed(format!("motor {motor} reports an error ({errors}): {remedy}")))
     }
@@ -124,7 +124,7 @@ impl Session {
     pub(super) fn echo_told_of(&mut self) -> &'static str {
         match self.master.master().config().bus {
             Bus::Rs485 { echo: true, .. } => {
-                " (if the adapter does not hand back what it sends, leave ',echo' away)"
+                " (if the adapter does not echo what it sends, leave out ',echo')"
             }
             _ => "",
         }
@@ -154,7 +154,7 @@ mod tests {
         let reset = "restart the motor: 'myactuator reset --bus sim:1 --id 1' (0x76)";
         assert!(stall.contains(reset), "{stall}");
         let low = told(ErrorFlags::UNDER_VOLTAGE);
-        assert!(low.contains("by itself") && !low.contains("restart"), "{low}");
+        assert!(low.contains("on its own") && !low.contains("restart"), "{low}");
     }
 
     /// What is told of this motor, of which nobody gets an answer.
@@ -168,8 +168,7 @@ mod tests {
 
     #[test]
     fn of_two_motors_that_answer_at_once_on_a_line_it_is_told_that_something_comes() {
-        let hint =
-            "bytes come that are no frame (do two motors have one id? connect only one of them)";
+        let hint = "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
         let both = told_of(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
         assert!(both.ends_with(hint), "{both}");
         let nobody = told_of(&Fleet::new(1), 2);
@@ -179,8 +178,8 @@ mod tests {
     #[test]
     fn where_nobody_was_heard_the_adapter_may_be_of_the_other_kind() {
         for (address, other) in [
-            ("rs485:/dev/ttyUSB0@115200", "speaks SLCAN, name it slcan:/dev/ttyUSB0@1000000"),
-            ("slcan:/dev/ttyACM0@500000", "is for RS485, name it rs485:/dev/ttyACM0@115200"),
+            ("rs485:/dev/ttyUSB0@115200", "speaks SLCAN, use slcan:/dev/ttyUSB0@1000000"),
+            ("slcan:/dev/ttyACM0@500000", "is for RS485, use rs485:/dev/ttyACM0@115200"),
         ] {
             let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
             let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
@@ -206,7 +205,7 @@ mod tests {
         session.ask(MotorId::MIN, ReadStatus1).unwrap();
         let outcome = session.release_brake(MotorId::MIN);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("leave ',echo' away"), "{told}");
-        assert!(told.ends_with("its brake may be open all the same"), "{told}");
+        assert!(told.contains("leave out ',echo'"), "{told}");
+        assert!(told.ends_with("its brake may be open even so"), "{told}");
     }
 }

@@ -82,8 +82,8 @@ fn is_on_scale(session: &mut Session, motor: MotorId, ranges: &MotionRanges) -> 
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
-        "motor {motor} is at {here} ({here_rad:.2} rad), and motion mode knows {min} to {max} rad: move it back first \
-         ({}), or make where it is its zero ({})",
+        "motor {motor} is at {here} ({here_rad:.2} rad), and motion mode reaches from {min} to {max} rad: move it back first \
+         ({}), or make its present position the zero ({})",
         session.hint("move --angle-deg 0", motor),
         session.hint("zero", motor)
     )))
@@ -145,7 +145,10 @@ mod tests {
         // A build that was met on real motors; no report says which protocol it speaks.
         let fleet = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
         let told = refused(&fleet, "--for-s 1");
-        assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
+        assert!(
+            told.contains("version date 2025070202, which is not that of a known firmware"),
+            "{told}"
+        );
         runs(&fleet, "--firmware v4.3");
         runs(&fleet, "--ranges 12.5,45,500,5,24");
     }

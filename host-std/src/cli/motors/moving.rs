@@ -35,7 +35,7 @@ const RUNS_NOTHING: &str =
 
 /// What is true of one that was, elsewhere, and then told to hold still.
 const ON_AGAIN: &str =
-    "was switched off and on again by something else on this bus: how it stands is not known";
+    "was switched off and on again by something else on this bus: its state is not known";
 
 /// How motors are that were told to hold.
 #[derive(Default)]
@@ -257,12 +257,12 @@ impl Session {
                     continue;
                 }
                 Ok(status) => format!(
-                    "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
-                     that: nothing but a locked brake holds its shaft",
+                    "has confirmed the stop (0x81) but reports an error ({}), for which a drive cuts its output: \
+                     only a locked brake holds its shaft",
                     status.errors
                 ),
-                Err(_) => "has confirmed the stop (0x81), but whether it holds is not known: it does not tell its \
-                           errors"
+                Err(_) => "has confirmed the stop (0x81), but whether it holds is not known: its errors cannot \
+                           be read"
                     .to_owned(),
             };
             looks.failing.push((motor, told));
@@ -305,11 +305,11 @@ impl Session {
                         None
                     }
                     Ok(speed) if self.is_not_to_wait() => Some(format!(
-                        "has confirmed the stop (0x81) and turns yet at {speed}: its rest was not waited for"
+                        "has confirmed the stop (0x81) and still turns at {speed}: this program did not wait until it stands"
                     )),
                     Ok(speed) if slowing.note_turning(speed, now) => continue,
                     Ok(speed) => Some(format!(
-                        "has confirmed the stop (0x81), but turns at {speed} and becomes no slower: cut its power"
+                        "has confirmed the stop (0x81), but turns at {speed} and does not slow down: cut its power"
                     )),
                     Err(error) => Some(format!(
                         "has confirmed the stop (0x81), but whether it stands is not known: {error}"
@@ -390,9 +390,9 @@ fn hold_still(motors: MotorSet) -> String {
 /// That these motors are stopped, and run nothing behind their brakes.
 fn braked(motors: MotorSet) -> String {
     let are = match motors.len() {
-        1 => "is stopped and runs nothing (mode 0): its brake, which it says is locked, holds it",
+        1 => "is stopped and runs nothing (mode 0): its brake holds it, which it reports as locked",
         _ => {
-            "are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them"
+            "are stopped and run nothing (mode 0): their brakes hold them, which they report as locked"
         }
     };
     format!("{} {are}", named(motors))
@@ -608,7 +608,7 @@ mod tests {
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(
-            told.starts_with("motor 1 has confirmed the stop (0x81) and turns yet at 200"),
+            told.starts_with("motor 1 has confirmed the stop (0x81) and still turns at 200"),
             "{told}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(20));
@@ -626,7 +626,7 @@ mod tests {
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(
             told.starts_with("motor 1 has confirmed the stop (0x81), but turns at 200")
-                && told.ends_with("and becomes no slower: cut its power"),
+                && told.ends_with("and does not slow down: cut its power"),
             "{told}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(3_100));
@@ -640,7 +640,7 @@ mod tests {
         let mut session = Session::on(&fleet);
         let outcome = session.come_to_rest(MotorId::MIN);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("becomes no slower"), "{told}");
+        assert!(told.contains("does not slow down"), "{told}");
     }
 
     #[test]
@@ -666,7 +666,7 @@ mod tests {
         );
         for (told, motor) in told[1..].iter().zip(1..) {
             let how =
-                if motor <= 3 { "becomes no slower" } else { "whether it holds is not known" };
+                if motor <= 3 { "does not slow down" } else { "whether it holds is not known" };
             assert!(told.starts_with(&format!("motor {motor} ")) && told.contains(how), "{told}");
         }
         assert_eq!(told.len(), 6, "{told:?}");
@@ -683,7 +683,7 @@ mod tests {
         fleet.world.cut(fleet.drives[0].station());
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.ends_with("whether it holds is not known: it does not tell its errors"));
+        assert!(told.ends_with("whether it holds is not known: its errors cannot be read"));
         let told = "motor 1 has confirmed the stop (0x81), but whether it stands is not known: no reply: is the motor \
                     powered, and is this its id?";
         let outcome = session.come_to_rest(MotorId::MIN);

@@ -60,7 +60,7 @@ impl MotorRevision {
             Err(date) => report(
                 "note",
                 format!(
-                    "motor {motor} reports version date {}, and which firmware that is, is not known: it \
+                    "motor {motor} reports version date {}, which is not that of a known firmware: it \
                      may know {opcode} with another layout, or not at all",
                     date.raw()
                 ),
@@ -77,7 +77,7 @@ impl MotorRevision {
                 Ok(firmware) if firmware.motion_ranges().is_some_and(|own| own != ranges) => {
                     Err(Unfinished::Failed(format!(
                         "motor {motor} speaks {firmware}, which has scales of its own, and --ranges \
-                         gives others: wrong ones multiply its torque, so nothing was sent"
+                         differs from them: wrong scales multiply its torque, so nothing was sent"
                     )))
                 }
                 _ => Ok(ranges),
@@ -85,7 +85,7 @@ impl MotorRevision {
         }
         let firmware = found.map_err(|date| {
             Unfinished::Failed(format!(
-                "motor {motor} reports version date {}, and which firmware that is, is not known: \
+                "motor {motor} reports version date {}, which is not that of a known firmware: \
                  wrong scales multiply its torque, so nothing was sent; give --firmware v4.3 if \
                  its manual says so, or its own scales by --ranges",
                 date.raw()

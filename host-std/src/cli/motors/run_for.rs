@@ -75,9 +75,7 @@ pub(super) fn run<C: Command + Copy>(
     let first = if opens { "have its brake released and " } else { "" };
     let then = match end {
         StopKind::Hold => "then stop and hold still",
-        StopKind::Off => {
-            "then stop, and be switched off behind its brake, or hold still if it has none"
-        }
+        StopKind::Off => "then stop, lock its brake and switch off, or hold still if it has none",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
     // Until the answer a shaft may have been turned.
@@ -150,7 +148,7 @@ fn repeat<C: Command + Copy>(
         let gap = now - last;
         if gap > LONGEST_GAP {
             return Err(Unfinished::Failed(format!(
-                "this program was held up for {:.2} s, and goes on with nothing",
+                "this program was held up for {:.2} s, so it does not go on",
                 seconds(gap)
             )));
         }
@@ -191,8 +189,8 @@ fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome 
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
-        "motor {motor} has restarted on the way: it had run for {}, and has for {} now (0xB1); see its supply, and \
-         where it believes to be",
+        "motor {motor} has restarted on the way: its run time (0xB1) was {} and is now {}; check its supply, and the \
+         angle that it reports",
         ran.run_time, runs.run_time
     )))
 }
@@ -203,8 +201,8 @@ fn runs(session: &mut Session, motor: MotorId) -> Outcome {
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
-        "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
-         against loss of communication too short ({} makes it longer)?",
+        "motor {motor} runs nothing (mode 0), although it gets a command every {SEND_EVERY}: is its communication-loss \
+         protection too short ({} makes it longer)?",
         session.hint("timeout --time-ms 500", motor)
     )))
 }
@@ -357,8 +355,8 @@ mod tests {
         let why = turn(&mut session, || drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)));
         let Unfinished::Failed(told) = why else { panic!("{why:?}") };
         assert!(told.starts_with("motor 1 reports an error (motor stalled): "), "{told}");
-        let truth = "; motor 1 has confirmed the stop (0x81) but reports an error (motor stalled), and its \
-                     drive cuts its output for that: nothing but a locked brake holds its shaft";
+        let truth = "; motor 1 has confirmed the stop (0x81) but reports an error (motor stalled), for \
+                     which a drive cuts its output: only a locked brake holds its shaft";
         assert!(told.ends_with(truth), "{told}");
         // It is stopped before it is asked how it is.
         let mut commands = commands(&log);
@@ -432,7 +430,7 @@ mod tests {
                 drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
             });
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert_eq!(told.matches("becomes no slower").count(), 1, "{told}");
+        assert_eq!(told.matches("does not slow down").count(), 1, "{told}");
     }
 
     #[test]

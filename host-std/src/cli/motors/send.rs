@@ -160,9 +160,11 @@ impl Sending {
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
-            (kind, _) if sets_gains(kind) => "A motor that runs or holds may swing, or let go.",
+            (kind, _) if sets_gains(kind) => {
+                "A motor that runs or holds may swing, or let its load go."
+            }
             (kind, _) if kind.moves() => {
-                "This may set a shaft in motion, which goes on until it is told something else."
+                "This may set a shaft in motion, which goes on until another command ends it."
             }
             (Kind::Raw { .. }, _) => "What it does is not known here: it may write memory.",
             (_, AnyCommand::BusId(BusId::Write(_))) => "All that are connected take this id.",
@@ -172,7 +174,7 @@ impl Sending {
         };
         let unlimited = match self.command {
             AnyCommand::Speed(Speed { max_torque, .. }) if max_torque.raw() == 0 => {
-                "0 % is no limit of torque. "
+                "0 % means no limit of torque. "
             }
             _ => "",
         };
@@ -204,16 +206,16 @@ impl Sending {
             (Kind::Raw { byte, .. }, CallError::Failed { failure: Failure::NoReply, .. }) => {
                 Unfinished::Failed(format!(
                     "motor {motor}: no reply to command byte 0x{byte:02X}: its firmware may not know \
-                     it, or not answer it (--reply none); or is the motor not powered, or this not \
-                     its id?"
+                     it, or send no reply to it (--reply none); else, is the motor powered, and is \
+                     this its id?"
                 ))
             }
             (kind, error @ CallError::Failed { failure: Failure::NoReply, .. })
                 if kind.repeat() == Repeat::ActsAgain =>
             {
                 Unfinished::Failed(format!(
-                    "{error} It was sent once, and may have been carried out: see what the motor does and \
-                     keeps before you send it again"
+                    "{error} It was sent once, and may have been carried out: check what the motor does and \
+                     has stored before you send it again"
                 ))
             }
             (_, error) => session.failed(error),
@@ -255,7 +257,7 @@ impl Sending {
         }
         if at_once {
             return say(&format!(
-                "{}: sent {}; on RS485 the replies of several motors collide, so that nobody can tell who has heard it",
+                "{}: sent {}; on RS485 the replies of several motors collide, so it is not known which of them have received it",
                 named(motors),
                 self.words()
             ));
@@ -266,7 +268,7 @@ impl Sending {
         };
         let why = match session.address.kind() {
             BusKind::Can => {
-                "a motor whose id filter is on (function 2) does not hear what goes to all on CAN"
+                "on CAN a motor whose id filter is on (function 2) does not hear what goes to all"
             }
             BusKind::Rs485 => "is it powered, and is this its id?",
         };
@@ -348,7 +350,7 @@ mod tests {
         let (told, packets) = failed(&Fleet::new(1), "--id 1 raw C0 01 2 3,4 0x5 0607");
         assert_eq!(
             told,
-            "motor 1: no reply to command byte 0xC0: its firmware may not know it, or not answer it (--reply none); or is the motor not powered, or this not its id?"
+            "motor 1: no reply to command byte 0xC0: its firmware may not know it, or send no reply to it (--reply none); else, is the motor powered, and is this its id?"
         );
         let channel = Channel::Command(Target::Motor(MotorId::MIN));
         assert_eq!(packets, [Packet { channel, data: C0 }]);
@@ -448,7 +450,10 @@ mod tests {
             ("set-current-position-zero", "(0x64). This may write memory."),
             ("write-pid-ram --index speed-kp --value 1", "A motor that runs or holds may swing,"),
             ("write-pid-rom --index speed-kp --value 1", "A motor that runs or holds may swing,"),
-            ("speed --speed-dps 1 --max-torque-pct 0", "0 % is no limit of torque. This may set a"),
+            (
+                "speed --speed-dps 1 --max-torque-pct 0",
+                "0 % means no limit of torque. This may set a",
+            ),
             (
                 "speed --speed-dps 1 --max-torque-pct 1",
                 "speed 1 dps. This may set a shaft in motion,",
@@ -518,7 +523,10 @@ mod tests {
             "--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
         let unknown = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
         let (told, packets) = failed(&unknown, motion);
-        assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
+        assert!(
+            told.contains("version date 2025070202, which is not that of a known firmware"),
+            "{told}"
+        );
         let is_motion = |packet: &Packet| packet.channel == Channel::Motion(MotorId::MIN);
         assert!(!packets.iter().any(is_motion));
         for known in ["--firmware v4.3", "--ranges 12.5,45,500,5,24"] {

@@ -109,7 +109,7 @@ impl From<BringUpError<BusError>> for Unfinished {
             BringUpError::Call(CallError::Refused { motor, refusal: RequestError::Restarted }) => {
                 Self::Failed(format!(
                     "motor {motor} has restarted, or was silent for so long that it may have: its turns may be lost, \
-                     so see where it is before you move it again"
+                     so check its angle before you move it again"
                 ))
             }
             error => Self::Failed(error.to_string()),
@@ -176,7 +176,7 @@ impl Session {
             report(
                 "simulated drives",
                 format!(
-                    "{motors} on {kind}, made anew for each run; --bus or MYACTUATOR_BUS names a real bus"
+                    "{motors} on {kind}, new in each run; --bus or MYACTUATOR_BUS names a real bus"
                 ),
             );
         }
@@ -279,8 +279,7 @@ impl Session {
         match bring_up::is_shared(&mut self.master, motor) {
             Ok(false) => Ok(()),
             Ok(true) => Err(Unfinished::Failed(format!(
-                "{} (or does another program ask it, too, or has one had it report by itself (0xB6), so that one motor \
-                 cannot be told from two? end that)",
+                "{} (one motor looks like two if another program asks it, too, or if its active reply (0xB6) is on: end that)",
                 shared(motor)
             ))),
             Err(error) => Err(self.failed(error)),

@@ -48,8 +48,8 @@ fn note_short(time: Milliseconds) {
         report(
             "note",
             format!(
-                "below {SHORT_MS} ms the protection may end what this program does: it speaks to a motor that it moves \
-                 every 10 to 20 ms, and later on a busy machine"
+                "below {SHORT_MS} ms the protection may end a movement of this program: it sends every 10 to 20 ms, and \
+                 less often on a busy machine"
             ),
         );
     }
@@ -57,7 +57,7 @@ fn note_short(time: Milliseconds) {
 
 fn question(motor: MotorId, time: Milliseconds) -> String {
     match time.raw() {
-        0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
+        0 => format!("Motor {motor} will go on with what it does when it hears nothing any more."),
         _ => format!(
             "Motor {motor} will cut its output when it hears nothing for {time}, also while it holds still or a position \
              and no program runs: a load can fall then."
@@ -67,7 +67,7 @@ fn question(motor: MotorId, time: Milliseconds) -> String {
 
 fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
     let set = match time.raw() {
-        0 => format!("motor {motor}: the protection against loss of communication is off"),
+        0 => format!("motor {motor}: the communication-loss protection is off"),
         _ => format!(
             "motor {motor} cuts its output when it hears nothing for {time}: try it before you rely on it"
         ),
@@ -75,8 +75,8 @@ fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
     match told {
         Protection::Confirmed => set,
         Protection::AcknowledgedOnly(other) => format!(
-            "motor {motor} has acknowledged {time} with {other}, and nothing reads it back: stop sending, and \
-             see what it does"
+            "motor {motor} has acknowledged {time} with {other}, and the setting cannot be read back: stop \
+             sending, and see what the motor does"
         ),
     }
 }

@@ -41,7 +41,7 @@ impl MemoryFolder {
 fn make(folder: &Path) -> Result<(), String> {
     fs::create_dir_all(folder).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => format!(
-            "expected a folder, or a name that nothing has, found a file in the way of {}: take another folder",
+            "expected a folder, or a free name, found a file in the way of {}: take another folder",
             folder.display()
         ),
         _ => fails(folder, &error),
@@ -49,7 +49,7 @@ fn make(folder: &Path) -> Result<(), String> {
 }
 
 fn fails(folder: &Path, error: &io::Error) -> String {
-    format!("the folder {} fails: {error}", folder.display())
+    format!("cannot use the folder {}: {error}", folder.display())
 }
 
 /// Links to pseudo-terminals, each one simulation's alone. They go with this.
@@ -84,7 +84,7 @@ impl Links {
         })?;
         let is_link = fs::symlink_metadata(&link).map(|found| found.is_symlink());
         let made = match is_link {
-            Ok(false) => Err(io::Error::other("something that is no link has this name")),
+            Ok(false) => Err(io::Error::other("something that is not a link has this name")),
             Ok(true) => fs::remove_file(&link).and_then(|()| symlink(target, &link)),
             Err(_) => symlink(target, &link),
         };
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         fs::write(&link, "mine").unwrap();
         let mut third = Links::in_folder(Some(folder.path())).unwrap();
-        assert!(third.add("rs485", Path::new("/dev/null")).unwrap_err().contains("no link"));
+        assert!(third.add("rs485", Path::new("/dev/null")).unwrap_err().contains("not a link"));
         drop(third);
         assert_eq!(fs::read_to_string(&link).unwrap(), "mine");
     }

@@ -109,7 +109,7 @@ pub(super) fn lines(
     } else {
         if has("rs485") && places.len() > 1 {
             lines.push(
-                "The motors on RS485 are others than those on CAN, with the same ids.".into(),
+                "The motors on RS485 are not those on CAN, although they have the same ids.".into(),
             );
         }
         if has("slcan") && has("can") {
@@ -174,7 +174,7 @@ mod tests {
                 "RS485 line   /dev/pts/7   115200 bit/s, echo   motors 1 2",
                 "SLCAN        here/slcan -> /dev/pts/7 CAN at 500000 bit/s   motors 1 2",
                 "CAN          vcan0        CAN at 500000 bit/s   motors 1 2",
-                "The motors on RS485 are others than those on CAN, with the same ids.",
+                "The motors on RS485 are not those on CAN, although they have the same ids.",
                 "SLCAN and CAN lead to the same motors.",
                 "try: myactuator scan --bus rs485:/dev/pts/7@115200,echo",
                 "Ctrl-C ends it.",
