@@ -1,4 +1,4 @@
-//! Turns what a person typed into the library's quantities, or into a sentence with the range.
+//! Turns arguments into the library's quantities, or into a sentence with the allowed range.
 
 use std::str::FromStr;
 
@@ -15,14 +15,14 @@ use myactuator_host_std::protocol::{Firmware, Kind, MotorId, Opcode, Target};
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
 
-/// Why motion mode is not encoded for a firmware that nobody named.
+/// Why motion mode is not encoded without a firmware.
 pub(super) const SCALES_ARE_NOT_GUESSED: &str = "--firmware or --ranges is missing: the scales of motion \
      mode differ between firmwares, and the wrong ones multiply the torque";
 pub(super) const RANGES_ARE_MISSING: &str =
     "--ranges is missing: the scales of this firmware's motion mode depend on the motor";
 
-/// A number, decimal or whole with `0x`. One too small for a double is none: it would become 0, which
-/// may mean "no limit".
+/// A number, decimal or whole with `0x`. One that is too small for a double is refused: it would become 0, which may
+/// mean "no limit".
 pub(super) fn number(text: &str) -> Option<f64> {
     match integer(text) {
         Some(whole) => Some(whole as f64),
@@ -42,7 +42,7 @@ pub(super) fn single(text: &str) -> Parsed<f32> {
     value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
 }
 
-/// A finite number of the physics.
+/// A finite number for the physics.
 pub(super) fn finite(text: &str) -> Parsed<f64> {
     let value = number(text).filter(|value| value.is_finite());
     value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
@@ -57,12 +57,12 @@ fn integer(text: &str) -> Option<i64> {
     }
 }
 
-/// The number on the wire nearest to an amount of a quantity.
+/// The number on the wire that is nearest to an amount of a quantity.
 fn amount(text: &str, quantity: &'static Quantity) -> Parsed<i64> {
     let given = number(text).ok_or_else(|| format!("{quantity}, but \"{text}\" is no number"))?;
     let raw = quantity.nearest(given).map_err(|error| error.to_string())?;
     match quantity.form {
-        // Steps of a whole unit or more: whoever gives a part of one means something else.
+        // Steps of a whole unit or more: a part of a step is a mistake.
         Form::Steps(Steps { denominator: 1, .. }) if quantity.amount(raw) != given => {
             let (step, unit) = (quantity.amount(1), quantity.unit.symbol());
             Err(format!("{quantity} in steps of {step} {unit}, but {given} {unit} was given"))
@@ -105,7 +105,7 @@ pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) ->
 macro_rules! amounts {
     ($($parser:ident: $quantity:ident($raw:ty);)+) => {$(
         pub(super) fn $parser(text: &str) -> Parsed<$quantity> {
-            // `nearest` gives nothing that does not fit.
+            // `nearest` returns nothing that does not fit.
             amount(text, &$quantity::QUANTITY).map(|raw| $quantity::from_raw(raw as $raw))
         }
     )+};
@@ -148,7 +148,7 @@ pub(super) fn target(text: &str) -> Parsed<Target> {
         .map_err(|_| format!("{}, or all, but \"{text}\" was given", MotorId::QUANTITY))
 }
 
-/// Whom a command goes to: one that reaches whatever is connected names no motor anyway.
+/// The target of a command. One that reaches all connected motors names no motor.
 pub(super) fn whom(kind: Kind, id: Option<Target>) -> Parsed<Target> {
     let reaches_all = kind.opcode().is_some_and(|opcode| opcode.reach() == Reach::Connected);
     let target = id.or(reaches_all.then_some(Target::All));
@@ -171,7 +171,7 @@ pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {
     Err(format!("--firmware: {}", lacks(opcode, firmware)))
 }
 
-/// That a firmware does not have a command, and which it has instead.
+/// Says that a firmware does not have a command, and which one it has instead.
 pub(super) fn lacks(opcode: Opcode, firmware: Firmware) -> String {
     let instead = opcode.byte().and_then(|byte| Opcode::of_firmware(firmware, byte));
     let instead = instead.map_or(String::new(), |other| format!(": take {}", other.name()));
@@ -210,7 +210,7 @@ pub(super) struct Revision {
 }
 
 impl Revision {
-    /// The scales that were given, else the firmware's own where it has them.
+    /// The scales that were given, else the firmware's own if it has them.
     pub(super) fn motion_ranges(&self) -> Option<MotionRanges> {
         self.ranges.or(self.firmware.motion_ranges())
     }

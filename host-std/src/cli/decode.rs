@@ -168,7 +168,7 @@ impl Decoder<'_> {
                 BusKind::Rs485 => match text::rs485::parse_line(line) {
                     Ok(bytes) => self.print(stream.feed(&bytes))?,
                     Err(error) => {
-                        // What has begun cannot go on behind a line that is not understood.
+                        // A frame cannot go on after a line that is not understood.
                         self.print(stream.finish())?;
                         self.print([Explanation::no_frame(self.bus, line, error.to_string())])?;
                     }

@@ -51,7 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     })
 }
 
-/// A master, what is known about the wire under it, and where to tell.
+/// A master, what is known about its wire, and the output.
 struct Tour {
     bus: BusKind,
     master: AnyMaster<8>,
@@ -157,7 +157,7 @@ impl Tour {
         Ok(())
     }
 
-    /// Gives every motor its next set-point as soon as it has answered the last, for two seconds.
+    /// For two seconds, sends every motor its next set-point as soon as it has answered the last.
     fn stream(&mut self, motors: MotorSet) -> Told {
         const SPAN: Duration = Duration::from_secs(2);
         let mut centres = [0.0_f32; MotorId::COUNT];
@@ -204,8 +204,8 @@ impl Tour {
         Ok(())
     }
 
-    /// The next set-point of a swing of ±0.5 rad, one a second, around where a motor is: by motion mode
-    /// where it exists, else by absolute positions.
+    /// Sends the next set-point of a swing of ±0.5 rad, one a second, around the angle of a motor: in motion mode where
+    /// that exists, else as absolute positions.
     fn swing(&mut self, motor: MotorId, centre_rad: f32, time: f32) -> Told {
         let phase = TAU * time;
         let position_rad = centre_rad + 0.5 * phase.sin();
@@ -257,8 +257,7 @@ fn measured_deg(reply: &AnyReply) -> f32 {
     }
 }
 
-/// Gives how long commands, and replies, have been on the wire since it was asked last: the means, in
-/// seconds.
+/// Returns how long commands, and replies, were on the wire since the last call: the means, in seconds.
 type Means = Box<dyn Fn() -> [f64; 2]>;
 
 fn means<B: Medium>(world: &World<B>) -> Means {

@@ -7,8 +7,8 @@ use myactuator_host_std::protocol::quantity::{Form, Steps};
 
 use super::arguments as parse;
 
-/// A command of the table, with its fields as they were typed. The subcommands are the table's rows,
-/// their flags the fields; parts of a unit are rounded to the nearest step of the frame.
+/// A command of the table, with its fields as they were typed. Each row of the table is a subcommand, and each field a
+/// flag. Parts of a unit are rounded to the nearest step of the frame.
 #[derive(Clone, Debug)]
 pub(super) struct FromTable {
     opcode: Opcode,
@@ -84,7 +84,7 @@ impl clap::Subcommand for FromTable {
             let mut flags: Vec<String> = Vec::new();
             for field in opcode.command_fields() {
                 let name = flag(field);
-                // A function's value means another thing for each function.
+                // The meaning of the value depends on the function.
                 let same = opcode.command_fields().iter().filter(|other| flag(other) == name);
                 let help = if same.count() > 1 {
                     "Its value: on or off, an id, or a number; as the rest decides.".to_owned()

@@ -1,4 +1,4 @@
-//! The signals that ask the program to end, or to halt: while a motor moves they stop it first.
+//! Signals that ask the program to end or to halt. While a motor moves they stop it first.
 
 use std::io;
 use std::ops::RangeInclusive;
@@ -10,39 +10,39 @@ use signal_hook::consts::{
     SIGTTOU, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
 };
 
-/// Two that have a number on Linux and no constant here.
+/// Two signals that have a number on Linux and no constant in the crate.
 const SIGSTKFLT: i32 = 16;
 const SIGPWR: i32 = 30;
 
-/// Ctrl-C, Ctrl-\, Ctrl-Z, a request to end, a hang-up, the halt of a background job that prints, and whatever else
-/// would end a program that does nothing about it: what a user, a watchdog or a limit sends to it.
+/// Ctrl-C, Ctrl-\, Ctrl-Z, a request to end, a hang-up, the halt of a background job that prints, and every other
+/// signal from a user, a watchdog or a limit that would end a program without a handler.
 const SIGNALS: [i32; 19] = [
     SIGINT, SIGQUIT, SIGTSTP, SIGTERM, SIGHUP, SIGTTOU, SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM,
     SIGPROF, SIGIO, SIGXCPU, SIGXFSZ, SIGABRT, SIGTRAP, SIGSYS, SIGSTKFLT, SIGPWR,
 ];
 
-/// They would, too. The C library keeps the first few to itself, and refuses them.
+/// Real-time signals would end it, too. The C library reserves the first few, and refuses handlers for them.
 const REAL_TIME: RangeInclusive<i32> = 32..=64;
 
-/// The kernel keeps from it whatever would end it (pid_namespaces(7)).
+/// The first process of a container. The kernel does not deliver signals that would end it (pid_namespaces(7)).
 const FIRST_PROCESS: u32 = 1;
 
-/// The last of them that has come; 0 for none.
+/// The last signal that has come; 0 for none.
 static LAST: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 static AGAIN: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Set when one of them has come.
+/// Set when one of the signals has come.
 pub(super) fn flag() -> Arc<AtomicBool> {
     Arc::clone(&CAME)
 }
 
-/// The same, to be cleared by whoever has done something about it: set again, the user does not want to wait.
+/// The same, but cleared once something was done about the signal. If it is set again, the user does not want to wait.
 pub(super) fn again() -> Arc<AtomicBool> {
     Arc::clone(&AGAIN)
 }
 
-/// From now on they only set the flags.
+/// From now on the signals only set the flags.
 pub(super) fn watch() -> io::Result<()> {
     for signal in SIGNALS {
         set_flags_at(signal)?;
@@ -54,7 +54,7 @@ pub(super) fn watch() -> io::Result<()> {
 }
 
 fn set_flags_at(signal: i32) -> io::Result<()> {
-    // Before the flags, by which others know that there is one.
+    // Registered before the flags: when those are set, the number must be there.
     let number = usize::try_from(signal).unwrap_or_default();
     signal_hook::flag::register_usize(signal, Arc::clone(&LAST), number)?;
     signal_hook::flag::register(signal, flag())?;
@@ -66,12 +66,14 @@ pub(super) fn has_come() -> bool {
     CAME.load(Ordering::Relaxed)
 }
 
-/// Ends the program by the signal that has come while they were watched for, if one has. A shell ends its loop only for a
-/// program that Ctrl-C has ended: one that exits, with whatever status, has dealt with it, and the next motor would
-/// move. So the other keys count as Ctrl-C: it goes on behind a program that Ctrl-\ has ended, and one that Ctrl-Z has
-/// halted would keep the bus.
-/// Gives the exit status that a shell would report for one that cannot end a program so: none ends the first process of a
-/// container, which would abort in its place.
+/// Ends the program by the signal that has come, if one has.
+///
+/// A shell ends its loop only if Ctrl-C itself has ended the program. If the program exits, with any status, the loop
+/// goes on, and the next motor would move. Other keys therefore count as Ctrl-C: a loop goes on after a program that
+/// Ctrl-\ has ended, and a program that Ctrl-Z has halted would keep the bus.
+///
+/// Returns the exit status that a shell would report if the signal cannot end the program. That is so for the first
+/// process of a container, which would abort instead.
 pub(super) fn end_by_it() -> Option<u8> {
     let signal = i32::try_from(LAST.load(Ordering::SeqCst)).ok().filter(|signal| *signal != 0)?;
     let ends = if matches!(signal, SIGQUIT | SIGTSTP | SIGTTOU) { SIGINT } else { signal };
@@ -87,9 +89,9 @@ mod tests {
 
     use super::*;
 
-    /// Of `signal(7)`, those that end or halt a program that does nothing about them, and that are not a fault of
-    /// its own, which no handler may return from. SIGKILL and SIGSTOP nobody can catch; what a program reads while
-    /// motors move is no terminal (SIGTTIN).
+    /// The signals of `signal(7)` that end or halt a program without a handler. Left out: faults of the program, from
+    /// which no handler may return; SIGKILL and SIGSTOP, which cannot be caught; and SIGTTIN, since the program reads
+    /// no terminal while motors move.
     const THAT_END_OR_HALT: [(&str, u32); 19] = [
         ("HUP", 1),
         ("INT", 2),
@@ -116,7 +118,7 @@ mod tests {
 
     #[test]
     fn no_signal_that_can_be_caught_ends_the_program_before_its_motors_are_stopped() {
-        // Where tests hang, nobody could end a process that watches by a signal any more.
+        // In a process of its own: no signal could end a hanging test process that watches for signals.
         if std::env::var_os(IN_A_PROCESS_OF_ITS_OWN).is_none() {
             let mut test = Command::new(std::env::current_exe().unwrap());
             test.arg("no_signal_that_can_be_caught").env(IN_A_PROCESS_OF_ITS_OWN, "");
@@ -132,7 +134,7 @@ mod tests {
         for (name, number) in THAT_END_OR_HALT {
             assert!(caught & 1 << (number - 1) != 0, "SIG{name}");
         }
-        // The C library keeps the first real-time signals to itself, 35 is SIGRTMIN of all.
+        // The C library reserves the first real-time signals; 35 is the highest SIGRTMIN.
         for number in 35..=64 {
             assert!(caught & 1 << (number - 1) != 0, "real-time signal {number}");
         }

@@ -47,7 +47,7 @@ enum Subcommand {
 }
 
 pub(crate) fn run() -> ExitCode {
-    // Before a panic unwinds, and so stops motors, it must not wait for a halted terminal.
+    // A panic unwinds, and so stops motors. It must not wait for a halted terminal before that.
     set_hook(Box::new(|panic| {
         report("error", format_args!("this program has a fault, please report it: {panic}"));
     }));
@@ -71,13 +71,13 @@ pub(crate) fn run() -> ExitCode {
     ExitCode::from(interrupt::end_by_it().unwrap_or(status))
 }
 
-/// Prints help where it was asked for, else one sentence about what is wrong. Gives the exit status.
+/// Prints the help if the user asked for it, else one sentence about what is wrong. Returns the exit status.
 fn stop_parsing(error: &clap::Error) -> u8 {
     match error.kind() {
         ErrorKind::DisplayHelp
         | ErrorKind::DisplayVersion
         | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            // Nobody is left to tell if the terminal is gone.
+            // If the terminal is gone there is nobody to tell.
             let _ = error.print();
             if error.use_stderr() { WRONG_USAGE } else { 0 }
         }
@@ -85,7 +85,7 @@ fn stop_parsing(error: &clap::Error) -> u8 {
     }
 }
 
-/// What the parser found, without the usage that it prints below.
+/// The message of the parser, without the usage below it.
 fn parse_sentence(error: &clap::Error) -> String {
     if let (ErrorKind::ValueValidation, Some(argument), Some(cause)) =
         (error.kind(), error.get(ContextKind::InvalidArg), error.source())

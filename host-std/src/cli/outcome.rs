@@ -7,18 +7,18 @@ use std::time::{Duration, Instant};
 
 use super::{interrupt, printer};
 
-/// Why a subcommand did not come to its end.
+/// Why a subcommand did not finish.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Unfinished {
-    /// It was asked for wrongly.
+    /// Wrong usage.
     Usage(String),
-    /// It could not be done.
+    /// It failed.
     Failed(String),
-    /// It failed, and has reported why.
+    /// It failed, and has already reported why.
     FailedAndReported,
-    /// Ctrl-C, or the like, ended it.
+    /// Ctrl-C or the like ended it.
     Interrupted(String),
-    /// Nobody reads what it prints, which is no error: `… | head`.
+    /// The reader of its output has gone, which is not an error: `… | head`.
     ReaderLeft,
 }
 
@@ -28,15 +28,15 @@ pub(super) const FAILED: u8 = 1;
 pub(super) const WRONG_USAGE: u8 = 2;
 const INTERRUPTED: u8 = 130;
 
-/// How long the last words may take after Ctrl-C and the like, each stream.
+/// How long the last output of each stream may take after Ctrl-C and the like.
 const LAST_WORDS: Duration = Duration::from_millis(300);
 /// How long an error waits for what was printed before it.
 pub(super) const IN_ORDER: Duration = Duration::from_millis(100);
 
-/// Reports why it did not come to its end, sees that all is printed, and gives the exit status.
+/// Reports why it did not finish, waits until all is printed, and returns the exit status.
 ///
-/// That may take as long as the reader likes, `… | less`: no motor moves any more. Once Ctrl-C or the like has
-/// come it takes no longer than the last words.
+/// A slow reader may take any time (`… | less`), since no motor moves any more. After Ctrl-C or the like it is limited
+/// to [`LAST_WORDS`].
 pub(super) fn end(outcome: Outcome) -> u8 {
     let status = report_end(outcome);
     match wait_for_reader(&printer::OUT) {
@@ -48,19 +48,19 @@ pub(super) fn end(outcome: Outcome) -> u8 {
     last(status)
 }
 
-/// Sees that the hook's words are printed, and gives the exit status of a Rust program that panics.
+/// Waits until the message of the panic hook is printed, and returns the exit status of a Rust program that panics.
 pub(super) fn end_of_panic() -> u8 {
     last(101)
 }
 
-/// The exit status, when the errors are reported.
+/// Waits until the errors are printed, and returns this exit status.
 fn last(status: u8) -> u8 {
     // Nobody is left to tell if that fails.
     let _ = wait_for_reader(&printer::ERR);
     status
 }
 
-/// Reports how it ended, and gives the exit status for that.
+/// Reports how it ended, and returns the exit status for that.
 fn report_end(outcome: Outcome) -> u8 {
     let (sentence, status) = match outcome {
         Ok(()) | Err(Unfinished::ReaderLeft) => return 0,
@@ -74,7 +74,7 @@ fn report_end(outcome: Outcome) -> u8 {
     status
 }
 
-/// Whether all is written. It may not be once Ctrl-C or the like has come.
+/// Waits until all is written; after Ctrl-C or the like only for a short time. Returns whether all is written.
 fn wait_for_reader(stream: &printer::Printer) -> io::Result<bool> {
     let since = Cell::new(None);
     stream.wait(|| {
@@ -85,12 +85,12 @@ fn wait_for_reader(stream: &printer::Printer) -> io::Result<bool> {
     })
 }
 
-/// Prints a line in its turn and does not wait until it is written: for whoever runs motors.
+/// Prints a line in order, and does not wait until it is written: for subcommands that run motors.
 pub(super) fn say(line: &str) -> Outcome {
     printer::OUT.print(format!("{}\n", printable(line))).map_err(|error| unwritten(&error))
 }
 
-/// What was asked is done, and cannot be said.
+/// The command is done, but its output cannot be written.
 fn unsaid(error: &io::Error) -> Unfinished {
     match unwritten(error) {
         Unfinished::Failed(why) => Unfinished::Failed(format!("{why}; the command itself is done")),
@@ -98,7 +98,7 @@ fn unsaid(error: &io::Error) -> Unfinished {
     }
 }
 
-/// Output that cannot be written, where the status says how the motors did.
+/// Output that cannot be written, of subcommands on motors.
 pub(super) fn unwritten(error: &io::Error) -> Unfinished {
     match error.kind() {
         io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
@@ -106,14 +106,14 @@ pub(super) fn unwritten(error: &io::Error) -> Unfinished {
     }
 }
 
-/// What is wrong with what was typed.
+/// A mistake in the arguments.
 impl From<String> for Unfinished {
     fn from(sentence: String) -> Self {
         Self::Usage(sentence)
     }
 }
 
-/// Output that cannot be written: status 1 of what only prints means something else.
+/// Output that cannot be written, of subcommands that only print: for them status 1 means something else.
 impl From<io::Error> for Unfinished {
     fn from(error: io::Error) -> Self {
         match error.kind() {
@@ -130,14 +130,14 @@ pub(super) fn print_line(line: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// Prints one sentence beside the output, in its turn: an `error`, a `warning` or a `note`.
+/// Prints one sentence to standard error, in order: an `error`, a `warning` or a `note`.
 pub(super) fn report(kind: &str, sentence: impl Display) {
     // Nobody is left to tell if that fails.
     let _ = printer::ERR.print(format!("{kind}: {}\n", printable(&sentence.to_string())));
 }
 
-/// A line without control characters, which may come from whatever is decoded or named, and could
-/// steer a terminal. They are written as in JSON, so that JSON keeps its meaning.
+/// Replaces control characters, which may come from a decoded frame or a name, and could control the terminal. They are
+/// written as in JSON, so that JSON keeps its meaning.
 pub(super) fn printable(line: &str) -> String {
     let mut shown = String::with_capacity(line.len());
     for character in line.chars() {

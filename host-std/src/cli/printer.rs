@@ -1,5 +1,5 @@
-//! What is printed goes through threads of its own, so that a terminal that was halted (Ctrl-S) or a pipe that
-//! nobody reads never holds up whoever runs a motor.
+//! Output is written by threads of its own. A halted terminal (Ctrl-S), or a pipe that nobody reads, never blocks a
+//! program that runs a motor.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -9,9 +9,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// So many pieces may wait before those that only show progress are dropped.
+/// How many pieces may wait before progress is dropped.
 const ROOM: usize = 16;
-/// How often to look whether waiting for the reader was given up.
+/// How often to check whether to stop waiting for the reader.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// The standard output, and the standard error.
@@ -28,10 +28,10 @@ pub(super) struct Printer {
 }
 
 struct State {
-    /// What is not written yet; the first is being written.
+    /// Pieces that are not written yet; the first is being written.
     waiting: VecDeque<Vec<u8>>,
     has_thread: bool,
-    /// Why nothing can be written any more.
+    /// Why no more can be written.
     failed: Option<(io::ErrorKind, String)>,
 }
 
@@ -41,7 +41,7 @@ impl Printer {
         Self { open, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Prints this in its turn, and does not wait for it.
+    /// Prints this in order, and does not wait for it.
     ///
     /// # Errors
     /// What kept something before it from being written.
@@ -49,12 +49,12 @@ impl Printer {
         self.offer(text, usize::MAX).map(|_| ())
     }
 
-    /// The same for what may be left out if the reader is slow.
+    /// The same for output that may be dropped if the reader is slow.
     pub(super) fn show(&'static self, text: impl Into<Vec<u8>>) -> io::Result<()> {
         self.offer(text, ROOM).map(|_| ())
     }
 
-    /// Prints this unless so many pieces wait already; whether it does.
+    /// Prints this unless `room` pieces wait already. Returns whether it does.
     ///
     /// # Errors
     /// What kept something before it from being written.
@@ -73,7 +73,7 @@ impl Printer {
         Ok(true)
     }
 
-    /// Waits until all is written, or until `gives_up`. Says whether it is.
+    /// Waits until all is written, or until `gives_up`. Returns whether all is written.
     ///
     /// # Errors
     /// What kept it from being written.
@@ -89,7 +89,7 @@ impl Printer {
         state.check().map(|()| true)
     }
 
-    /// Waits for so long at the most.
+    /// The same, for at most this time.
     pub(super) fn wait_for(&self, longest: Duration) -> io::Result<bool> {
         let start = Instant::now();
         self.wait(|| start.elapsed() >= longest)
@@ -99,7 +99,7 @@ impl Printer {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the thread does, until something cannot be written.
+    /// The work of the thread, until something cannot be written.
     fn write_all(&self) {
         let error = self.write_each().unwrap_err();
         let mut state = self.state();

@@ -1,4 +1,4 @@
-//! A command of the table by its name, or eight bytes of one's own.
+//! A command of the table by its name, or eight raw bytes.
 
 use clap::ValueEnum;
 use myactuator_host_std::protocol::command::{AnyCommand, MotionRanges, RawCommand};
@@ -44,7 +44,7 @@ enum Answer {
 
 impl Raw {
     fn command(&self) -> Result<RawCommand, String> {
-        // Said to be hexadecimal, no byte is taken for a decimal one.
+        // With the prefix no byte is read as decimal.
         let pieces = self.bytes.iter().flat_map(|piece| piece.split([' ', ',']));
         let digits = pieces.map(|piece| piece.strip_prefix("0x").unwrap_or(piece));
         let digits = digits.filter(|digits| !digits.is_empty());
@@ -70,7 +70,7 @@ impl Wanted {
         }
     }
 
-    /// What is to be sent; motion mode needs scales.
+    /// The command to send; motion mode needs scales.
     pub(super) fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
         match self {
             Self::Raw(raw) => Ok(raw.command()?.into()),
@@ -78,7 +78,7 @@ impl Wanted {
         }
     }
 
-    /// What can be said of it before the scales are known.
+    /// What is known about it before the scales are.
     pub(super) fn kind(&self) -> Result<Kind, String> {
         match self.opcode() {
             Some(Opcode::Motion) => Ok(Opcode::Motion.into()),

@@ -1,4 +1,4 @@
-//! `myactuator brake`: the holding brake, by hand.
+//! `myactuator brake`: releases or locks the holding brake.
 
 use clap::ValueEnum;
 use myactuator_host_std::open::BusError;
@@ -73,12 +73,12 @@ fn lock(session: &mut Session, motor: MotorId) -> Outcome {
     }
 }
 
-/// What came of locking a brake.
+/// The result of locking a brake.
 pub(super) enum Lock {
     Holds,
-    /// The motor says that it was told no such thing: it has none.
+    /// The motor does not report the lock: it has no brake.
     IsNotThere,
-    /// The shaft turns behind it. Whether its motor holds it again, if that is known.
+    /// The shaft turns behind the brake. `holds`: whether its motor holds it again, if known.
     Slips {
         why: Unfinished,
         holds: Option<bool>,
@@ -86,31 +86,32 @@ pub(super) enum Lock {
 }
 
 impl Session {
-    /// Releases a brake behind which the motor holds, and waits until it is open.
+    /// Lets the motor hold, releases its brake, and waits until that is open.
     pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome {
         let outcome = bring_up::release_brake(&mut self.master, motor);
         self.unless_half_open(outcome)
     }
 
-    /// The same, where what holds a load was switched off, or behind a brake that slips. What is true of it then.
+    /// Releases the brake and holds again, after the motor was switched off or its brake slips. Returns `why` with the
+    /// state of the motor.
     pub(super) fn hold_again(&mut self, motor: MotorId, why: Unfinished) -> Unfinished {
         self.master.off = self.master.off.without(motor.into());
         self.master.master().lift_stop_of(motor);
-        // No drive holds behind a locked one. What comes of it otherwise changes nothing: it may be open all the same.
+        // No drive holds behind a locked brake. An error changes nothing: the brake may be open even so.
         let _ = bring_up::release_brake(&mut self.master, motor);
         told_with_stop(why, self.stopped_by(StopKind::Hold, motor.into()))
     }
 
-    /// Releases a brake, and lets the shaft go. Whether the motor says that it is open: one that has acknowledged the
-    /// command and says "lock" all the same is warned of.
+    /// Releases a brake and lets the shaft go. Returns whether the motor reports an open brake. Prints a warning if it
+    /// has acknowledged the command but still reports "lock".
     fn let_go(&mut self, motor: MotorId) -> Outcome<bool> {
-        // One that has lost its master obeys the third command (2.31.1).
+        // A motor that has lost its master obeys the third command (2.31.1).
         self.ask(motor, ReadStatus1)?;
         self.ask(motor, ReadStatus1)?;
         let told = self.master.ask(motor, ReleaseBrake).map(drop).map_err(BringUpError::Call);
         self.unless_half_open(told)?;
         let moved = self.master.now() + BRAKE_MOVES;
-        // Without a word its protection would lock it again.
+        // In a silence the protection would lock the brake again.
         while self.master.now() < moved {
             self.ask(motor, ReadStatus1)?;
             self.wait_until(self.master.now() + LONGEST_WAIT)?;
@@ -134,14 +135,14 @@ impl Session {
         })
     }
 
-    /// Locks the brake of a motor that stands, waits until it has had the time to, and looks whether it holds. What held
-    /// until then holds again if not, unless a stop refuses that.
+    /// Locks the brake of a motor that stands, waits until it has had the time to, and checks whether it holds. If not,
+    /// a motor that held before holds again, unless a stop refuses that.
     pub(super) fn lock_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
         let outcome = bring_up::lock_brake(&mut self.master, motor);
         self.locked(outcome)
     }
 
-    /// Looks once more at a locked brake, behind which its motor is off.
+    /// Checks a locked brake again, after its motor was switched off.
     pub(super) fn check_brake(&mut self, motor: MotorId) -> Outcome<Lock> {
         let outcome = bring_up::check_brake(&mut self.master, motor);
         self.locked(outcome)
@@ -180,7 +181,7 @@ mod tests {
     use super::super::simulated::sent;
     use super::*;
 
-    /// That what held a load holds it again where its brake slips so long after it was told to lock.
+    /// Checks that a motor holds its load again if its brake slips this long after a lock.
     fn is_held_again(mode: Option<u8>, slips_after_ms: u64) {
         let (fleet, drive) = odd_drive::alone();
         let mut is = drive.lock().unwrap();
@@ -205,12 +206,12 @@ mod tests {
     fn what_a_slipping_brake_lets_go_is_held_again_whenever_that_is_seen() {
         for slips_after_ms in [100, 300] {
             is_held_again(Some(3), slips_after_ms);
-            // It draws a current, for all that is known.
+            // All that is known is that it draws a current.
             is_held_again(None, slips_after_ms);
         }
     }
 
-    /// Of one that does not confirm that it is open again, that is tried once more.
+    /// If the motor does not confirm the release, it is tried once more.
     #[test]
     fn a_brake_that_may_be_open_again_is_not_left_so() {
         let (fleet, drive) = odd_drive::alone();
@@ -247,10 +248,10 @@ mod tests {
         let mut session = Session::on(&fleet);
         assert_eq!(session.let_go(MotorId::MIN), Ok(false));
         assert!(sent(&log).iter().any(|packet| packet.data[0] == 0x77));
-        // One that does not acknowledge it is one.
+        // A motor that does not acknowledge it is a failure.
         let nobody = MotorId::new(9).unwrap();
         assert!(matches!(session.let_go(nobody), Err(Unfinished::Failed(_))));
-        // While it holds, it says so.
+        // While the motor holds, it reports an open brake.
         assert_eq!(session.release_brake(MotorId::MIN), Ok(()));
     }
 }

@@ -1,4 +1,4 @@
-//! What other programs on the same bus do to motors, as replies tell that nobody here has asked for.
+//! What other programs on the same bus do to motors. Replies that this program has not asked for show it.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -13,27 +13,27 @@ use myactuator_protocol_core::{Kind, MotorId, Opcode};
 
 use crate::cli::report;
 
-/// A bus in use. What stops a motor elsewhere while it is moved here stops it here, too: nothing more that may
-/// move it is sent.
+/// A bus in use. If another program stops a motor that this program moves, this program stops it, too, and sends
+/// nothing more that may move it.
 #[derive(Debug)]
 pub(super) struct Watched {
     pub(super) bus: AnyMaster<{ MotorId::COUNT }>,
-    /// The motors that are moved here, until they are stopped here.
+    /// The motors that this program moves, until it stops them.
     pub(super) moved: MotorSet,
-    /// Those of them that were stopped elsewhere.
+    /// Those of them that another program has stopped.
     pub(super) stopped: Rc<Cell<MotorSet>>,
-    /// The motors that were switched off, here or elsewhere.
+    /// The motors that this program or another one has switched off.
     pub(super) off: MotorSet,
-    /// The motors that were moved elsewhere since they have confirmed their last stop, if there was one; or, where
-    /// that was to switch them off, switched on.
+    /// The motors that another program has moved since they confirmed their last stop, if there was one. If that stop
+    /// was to switch them off, also those that it has switched on.
     pub(super) moved_on: MotorSet,
-    /// Those that were switched off elsewhere since then.
+    /// The motors that another program has switched off since then.
     let_go: MotorSet,
     /// The motors that have confirmed a stop of this program.
     pub(super) confirmed: MotorSet,
-    /// Those that have not, however often they were sent one.
+    /// The motors that have not, after all retries.
     pub(super) silent: MotorSet,
-    /// Set by Ctrl-C and the like, while something goes on that they do not end, and until the user knows that.
+    /// Set by Ctrl-C and the like. Kept here while they do not end what goes on, until the user is told so.
     pub(super) finished_first: Option<Arc<AtomicBool>>,
     awake: Elapsed,
 }
@@ -57,7 +57,7 @@ impl Watched {
         }
     }
 
-    /// Nobody who has pressed Ctrl-C waits without a word.
+    /// Tells a user who has pressed Ctrl-C why the program goes on.
     fn tell_of_interruption(&mut self) {
         if self.finished_first.take_if(|flag| flag.load(Ordering::Relaxed)).is_some() {
             report(
@@ -67,13 +67,12 @@ impl Watched {
         }
     }
 
-    /// For how long the bus was looked at. Whoever waits for something has had no time for it while this program was
-    /// suspended.
+    /// How long the bus was looked at. Time in which this program was suspended does not count for a time-out.
     pub(super) fn awake(&mut self) -> Duration {
         self.awake.at(self.bus.now())
     }
 
-    /// Whether a motor was switched off, here or elsewhere, after all that was seen.
+    /// Whether a motor was switched off, here or elsewhere, as far as was seen.
     pub(super) const fn is_off(&self, motor: MotorId) -> bool {
         self.off.contains(motor) || self.let_go.contains(motor)
     }
@@ -88,7 +87,7 @@ impl Watched {
             (Event::StopConfirmed { motor }, _) => {
                 self.has_confirmed(motor);
                 self.confirmed.insert(motor);
-                // A second confirmation of a stop of one's own is nobody else's.
+                // A second confirmation of this program's stop must not look like another program's stop.
                 self.moved.remove(motor);
             }
             (Event::Reply { ticket, kind, .. }, _) if StopKind::by(kind).is_some() => {
@@ -99,7 +98,7 @@ impl Watched {
             (_, Some((motor, Deed::Stopped(kind)))) if self.moved.contains(motor) => {
                 self.give_way(motor, kind);
             }
-            // It switches the output on, to hold still (2.18).
+            // A stop switches the output on, to hold still (2.18).
             (_, Some((motor, Deed::Stopped(StopKind::Hold)))) => {
                 self.let_go.remove(motor);
                 if self.off.contains(motor) {
@@ -145,17 +144,17 @@ impl Runner<{ MotorId::COUNT }> for Watched {
     }
 }
 
-/// Commands that V4.4 moves by and the table does not have: to a position, with feed-forward of speed or torque.
+/// Commands of V4.4 that move and are not in the table: to a position, with feed-forward of speed or torque.
 const MOVES_OF_V4_4: [u8; 2] = [0x72, 0x73];
 
-/// What somebody else has told a motor.
+/// What another program has commanded a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Deed {
     Moved,
     Stopped(StopKind),
 }
 
-/// What the event tells of somebody else.
+/// What the event shows of another program.
 fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };
     let Some(opcode) = Opcode::from_byte(data[0]) else {

@@ -1,4 +1,4 @@
-//! What a motor has reported, put together from several replies.
+//! The fields that a motor has reported, from several replies.
 
 use std::fmt;
 use std::slice;
@@ -23,7 +23,7 @@ struct Part {
 }
 
 impl Group {
-    /// This reply's fields behind those that are there.
+    /// Adds this reply's fields at the end.
     pub(super) fn and<R: Fields>(self, reply: &R) -> Self {
         self.and_but(reply, &[])
     }
@@ -37,7 +37,7 @@ impl Group {
         self
     }
 
-    /// The same of the running mode, which has no name while none runs.
+    /// The same for the running mode, which has no name while nothing runs.
     pub(super) fn and_mode(self, mode: &RunningMode) -> Self {
         let mut group = self.and(mode);
         if !mode.mode.runs()

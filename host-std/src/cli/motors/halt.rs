@@ -1,9 +1,13 @@
-//! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
+//! `myactuator stop` and `myactuator shutdown`: they must work without thinking.
 //!
-//! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
-//! once and then to those that answer, and those that confirm are reported. Exit status: 0 if the motor, or any motor
-//! if all are meant, has confirmed, the bus has carried the command to all that were meant, none of them moves on, and
-//! none that was to hold still is known, or may be feared, to hold nothing, else 1.
+//! They ask the user nothing and do not scan first. The command goes to every id; on RS485 it goes to all at once, and
+//! then to each motor that answers. Motors that confirm are reported. The exit status is 0 if all of this is so, else
+//! 1:
+//!
+//! - The motor has confirmed; if all are meant, at least one has.
+//! - The bus has carried the command to all that were meant.
+//! - None of them goes on moving.
+//! - None that was to hold still is known to hold nothing, or may hold nothing.
 
 use myactuator_protocol_core::command::{ReadStatus1, ReadStatus2};
 use myactuator_protocol_core::io::{CallError, Runner};
@@ -15,9 +19,9 @@ use super::session::{Motors, Session, say};
 use super::together::Together;
 use crate::cli::{Outcome, Unfinished};
 
-/// How often the stop to all goes on a line: as often as a motor by itself is sent one that it does not confirm.
+/// How often the stop to all is sent on a line: as often as a single motor is sent a stop that it does not confirm.
 const STOPS_OF_LINE: usize = 15;
-/// How often ids are asked on a line that do not answer.
+/// How often ids that do not answer are asked on a line.
 const ROUNDS: usize = 3;
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
@@ -42,7 +46,7 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     say(&format!("{} {are}{}", named(motors), of_others(&session, arguments.id, motors)))
 }
 
-/// What a stop of all cannot know: a motor that never confirms is like none.
+/// What a stop of all cannot know: a motor that never confirms looks like an id without a motor.
 fn of_others(session: &Session, meant: Target, confirmed: MotorSet) -> String {
     if meant != Target::All || confirmed == MotorSet::ALL {
         return String::new();
@@ -51,26 +55,26 @@ fn of_others(session: &Session, meant: Target, confirmed: MotorSet) -> String {
     format!("; no other id has confirmed{garbled}: a motor that is not named here may go on")
 }
 
-/// Gives the motors that have confirmed.
+/// Returns the motors that have confirmed.
 fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
     if let Target::Motor(motor) = meant {
         session.stop(kind, motor.into())?;
         return Ok(motor.into());
     }
     let stopped = stop_every_id(session, kind)?;
-    // Nobody waits for the others any more.
+    // The others are not waited for any more.
     forget(session, MotorSet::ALL.without(stopped));
     session.see_stopped(kind, stopped)?;
     Ok(stopped)
 }
 
-/// Stops every id. On CAN each is sent its own stop, all at the same time. On RS485 ids that no motor has would keep the
-/// line for as long as they are waited for: so the stop to all goes first, and then that of those that are there.
+/// Stops every id. On CAN each id is sent its own stop, all at the same time. On RS485 the wait for ids without a motor
+/// would keep the line busy: so the stop to all goes first, and then each motor that answers is sent its own.
 fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
     if kind == StopKind::Off {
         session.master.off = MotorSet::ALL;
     }
-    // What came of an earlier stop says nothing of this one.
+    // The result of an earlier stop says nothing about this one.
     (session.master.confirmed, session.master.silent) = (MotorSet::EMPTY, MotorSet::EMPTY);
     let on_line = matches!(session.master.master().config().bus, Bus::Rs485 { .. });
     let mut outage = None;
@@ -81,13 +85,13 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
         (meant, outage) = find_on_line(session);
     }
     if outage.is_none() {
-        // One to all goes before it.
+        // A stop to all goes before it.
         let garbled = session.master.bus.garbled();
         outage = stop_each(session, kind, meant);
         session.garbled_by_all += session.master.bus.garbled() - garbled;
     }
     let confirmed = session.master.confirmed;
-    // On CAN every id is meant: who was heard is there, and those that say nothing are like none.
+    // On CAN every id is meant: an id that was heard is a motor, and a silent one looks like none.
     let master = session.master.master();
     let is_there = |motor: &MotorId| on_line || master.health(*motor).last_seen.is_some();
     let silent: MotorSet = meant.without(confirmed).iter().filter(is_there).collect();
@@ -121,11 +125,11 @@ fn forget(session: &mut Session, motors: MotorSet) {
     }
 }
 
-/// Sends the stop to all on a line, which nobody confirms and which takes hardly any time: so often that frames may be
-/// lost.
+/// Sends the stop to all on a line. No motor confirms it, and it takes hardly any time: it is repeated, so that some
+/// frames may be lost.
 fn stop_line(session: &mut Session, kind: StopKind) {
     for _ in 0..STOPS_OF_LINE {
-        // Lifted, for else it would go once. There is a place for all.
+        // Without the lift it would be sent only once. There is a place for all.
         session.master.master().lift_stop();
         let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
         while session.master.master().is_stop_to_all_waiting() {
@@ -136,12 +140,12 @@ fn stop_line(session: &mut Session, kind: StopKind) {
             session.master.idle(soon);
         }
     }
-    // All answer the last one at once.
+    // All motors answer the last one at once.
     let settled = session.master.now() + session.master.master().config().reply_timeout;
     let _ = session.master.run_until(settled, |_| {});
 }
 
-/// Those that answer on a line, and why it carries nothing, if that is so. All are asked again and again, so that a
+/// Returns the motors that answer on a line, and why it carries nothing, if so. Asks all motors repeatedly, so that a
 /// short communication-loss protection does not let a load go.
 fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
     let begun = session.master.awake();
@@ -149,13 +153,13 @@ fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
     let mut rounds = 0;
     loop {
         let patience = session.master.master().patience(1);
-        // No other read goes before this one, to find out whether the adapter echoes.
+        // This is the first read: it also finds out whether the adapter echoes.
         let Together { outcomes, failure } =
             session.ask_each(MotorSet::ALL, ReadStatus1, Some(patience));
         let answered = outcomes.into_iter().filter(|(_, outcome)| outcome.is_ok());
         found = found.with(answered.map(|(motor, _)| motor).collect());
         rounds += 1;
-        // A line that fails tells it by nothing but silence.
+        // A line that fails is only silent.
         let is_over = session.master.awake() - begun > LONGEST_OUTAGE || session.is_not_to_wait();
         if rounds >= ROUNDS && (!found.is_empty() || is_over) {
             forget(session, MotorSet::ALL.without(found));
@@ -165,16 +169,16 @@ fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
     }
 }
 
-/// Stops each of these motors, as often as the library does. A bus that carries nothing is waited for. Gives why it has
-/// not carried the stop to all, if it has not.
+/// Stops each of these motors, with the retries of the library. Retries on a bus that carries nothing. Returns why the
+/// bus has not carried the stop to all, if it has not.
 fn stop_each(session: &mut Session, kind: StopKind, motors: MotorSet) -> Option<String> {
     // There is a place for all.
     let _ = session.master.master().stop_all(kind, motors);
     let mut waits = motors;
-    // When a stop was last confirmed, or given up.
+    // When a stop was last confirmed or given up.
     let mut last_end = session.master.awake();
     while !waits.is_empty() {
-        // A short communication-loss protection does not let a load go meanwhile.
+        // So that a short communication-loss protection does not let a load go meanwhile.
         session.ask_each(session.master.confirmed, ReadStatus2, None);
         let soon = session.master.now() + LONGEST_WAIT;
         let outcome = session.master.run_until(soon, |_| {});
@@ -244,7 +248,7 @@ mod tests {
         assert_eq!(first.unwrap()[..4], [0x3E, 0xCD, 0x08, 0x81]);
     }
 
-    /// Motor 1 reports by itself, and answers nothing meanwhile.
+    /// Motor 1 reports on its own, and answers nothing meanwhile.
     #[test]
     fn who_is_heard_and_does_not_confirm_is_named() {
         let quirks = Quirks { silent_while_reporting: true, ..Quirks::default() };
@@ -270,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_bus_that_is_back_within_a_second_is_waited_for_and_all_are_stopped() {
-        // One takes nothing, the other leaves the bus with errors again and again.
+        // One takes nothing; the other goes bus-off again and again.
         for (faults, recovers) in [("cut", "mend+300ms"), ("corrupt=1", "corrupt=0+300ms")] {
             let faults = [faults, recovers].map(|fault| fault.parse().unwrap());
             let fleet = Fleet::new(4).faults(faults).on_can(1_000_000).unwrap();
@@ -344,11 +348,11 @@ mod tests {
         assert_eq!((of_can, of_line), (1.0, [2.0, 4.0]));
     }
 
-    /// What the first of two motors is told from elsewhere.
+    /// What something else sends to the first of two motors.
     const TURN: Speed =
         Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
 
-    /// That it is not said to be stopped while something else sends this every so often.
+    /// A motor does not count as stopped while something else sends this at this interval.
     fn is_not_left_alone(packet: Packet, every_ms: u64, kind: StopKind) {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
@@ -362,7 +366,7 @@ mod tests {
 
     #[test]
     fn a_motor_that_something_else_goes_on_moving_is_not_said_to_be_stopped() {
-        // Its data say nothing of motion mode, its channel does.
+        // Only its channel shows that it is motion mode.
         let motion =
             Packet { channel: Channel::Motion(MotorId::MIN), data: [0x80, 0, 0x80, 0, 0, 0, 0, 0] };
         for packet in [to_first(TURN.encode()), motion] {
@@ -398,8 +402,9 @@ mod tests {
         }
     }
 
-    /// What is told of two stopped motors: something else turns the second, which is waited for, and sends these to the
-    /// first so many milliseconds after the start. And whether the first's output is on then.
+    /// What is reported about two stopped motors while something else turns the second, which is waited for, and sends
+    /// these packets to the first, each so many milliseconds after the start. Returns the report about the first, and
+    /// whether its output is on then.
     fn told_of_first(packets: &[(Packet, u64)]) -> (String, bool) {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         for (packet, after_ms) in packets {
@@ -439,8 +444,8 @@ mod tests {
         }
     }
 
-    /// Six motors that turn at 100 dps, on a bus that loses frames from then on; stops them. Gives whether that was
-    /// said to be done, and those that turn on.
+    /// Stops six motors that turn at 100 dps, on a bus that loses frames from then on. Returns the outcome, and the
+    /// motors that still turn.
     fn stopped_with_loss(bus: BusKind, seed: u64, kind: StopKind) -> (Outcome<MotorSet>, MotorSet) {
         let faults = ["lose=0.3+100ms".parse().unwrap()];
         let fleet = Fleet::new(6).seed(seed).faults(faults);
@@ -456,7 +461,7 @@ mod tests {
         }
     }
 
-    /// The same, on this bus: another program has turned them.
+    /// The same on this bus, where another program has turned them.
     fn stopped_on(
         drives: &[DriveHandle],
         program: impl Fn() -> AnyMaster<{ MotorId::COUNT }>,
@@ -478,7 +483,7 @@ mod tests {
         (stopped, motors.iter().filter(turns).collect())
     }
 
-    /// It once tried each id three times, and left out who had confirmed none of these.
+    /// It once tried each id three times, and left out motors that had confirmed none of these.
     #[test]
     fn where_frames_are_lost_nobody_turns_on_behind_a_stop_of_all() {
         for bus in [BusKind::Can, BusKind::Rs485] {
@@ -532,7 +537,7 @@ mod tests {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
             assert!(told.contains("bytes arrive that are no valid frame (do two motors"), "{told}");
         }
-        // Of a third one that is there, too, they are told beside it.
+        // With a third motor on the line they are reported beside it.
         let third = MotorId::new(2).unwrap();
         for (ids, is_told) in [(&[motor, motor, third][..], true), (&[motor, third], false)] {
             let fleet = Fleet::of(ids.iter().map(|&id| MotorSetup::new(id)));

@@ -1,4 +1,4 @@
-//! What is told of whatever does not work: what it may be due to, and what to type about it.
+//! Errors with a hint: the likely cause, and the command to type.
 
 use myactuator_host_std::open::{BusAddress, BusError};
 use myactuator_protocol_core::command::ErrorFlags;
@@ -10,12 +10,12 @@ use myactuator_protocol_core::{MotorId, Target};
 use super::session::Session;
 use crate::cli::{Outcome, Unfinished, report};
 
-/// What came that cannot be understood, on RS485.
+/// Bytes arrived on RS485 that cannot be understood.
 const NO_FRAME: &str =
     "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
 
 impl Session {
-    /// What is to be typed for this on this bus.
+    /// The command to type for this on this bus.
     pub(super) fn hint(&self, subcommand: &str, whom: impl Into<Target>) -> String {
         let whom = match whom.into() {
             Target::Motor(motor) => motor.to_string(),
@@ -24,12 +24,12 @@ impl Session {
         format!("'myactuator {subcommand} --bus {} --id {whom}'", self.address)
     }
 
-    /// What tries other bit rates than this bus's, or says how.
+    /// The command that tries other bit rates, or says how to.
     pub(super) fn other_rates(&self) -> String {
         format!("'myactuator scan --all-rates --bus {}' tries the others", self.address)
     }
 
-    /// Why a call has no answer, and what that may be due to.
+    /// Why a call has no answer, with the likely cause.
     pub(super) fn failed(&mut self, error: CallError<BusError>) -> Unfinished {
         match error {
             CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
@@ -44,7 +44,7 @@ impl Session {
         }
     }
 
-    /// Why a motor did not come back, and what that may be due to.
+    /// Why a motor did not come back, with the likely cause.
     pub(super) fn not_brought_up(&self, error: BringUpError<BusError>) -> Unfinished {
         match error {
             BringUpError::NotThere(_) => Unfinished::Failed(format!(
@@ -55,12 +55,12 @@ impl Session {
         }
     }
 
-    /// Whether this motor was heard on this bus, so that it is there.
+    /// Whether this motor was heard on this bus, so that it exists.
     pub(super) fn has_heard(&mut self, motor: MotorId) -> bool {
         self.master.master().health(motor).last_seen.is_some()
     }
 
-    /// That a serial port may belong to an adapter of the other kind, where nobody was heard.
+    /// Says that the adapter of a serial port may be of the other kind, if no motor was heard.
     fn other_adapter(&mut self) -> String {
         if MotorId::all().any(|motor| self.has_heard(motor)) {
             return String::new();
@@ -76,7 +76,7 @@ impl Session {
         }
     }
 
-    /// Refuses errors, and tells what to do about them.
+    /// Fails if there are errors, and says what to do about them.
     pub(super) fn healthy(&self, motor: MotorId, errors: ErrorFlags) -> Outcome {
         if errors.is_empty() {
             return Ok(());
@@ -92,7 +92,7 @@ impl Session {
         Err(Unfinished::Failed(format!("motor {motor} reports an error ({errors}): {remedy}")))
     }
 
-    /// That no motor answers, and what to look at.
+    /// Says that no motor answers, and what to check.
     pub(super) fn nobody(&mut self) -> Unfinished {
         let other_adapter = self.other_adapter();
         Unfinished::Failed(format!(
@@ -103,12 +103,12 @@ impl Session {
         ))
     }
 
-    /// That something came which cannot be understood, if it did.
+    /// Says that garbled bytes have arrived, if they have.
     pub(super) fn garbled(&self) -> String {
         if self.has_garbled() { format!(", but {NO_FRAME}") } else { String::new() }
     }
 
-    /// The same, beside the motors that were found.
+    /// The same, as a note.
     pub(super) fn note_garbled(&self) {
         if self.has_garbled() {
             report("note", NO_FRAME);
@@ -119,8 +119,8 @@ impl Session {
         self.master.bus.garbled() != self.garbled_by_all
     }
 
-    /// What a missing answer may be due to, where an echo was told of: an answer of the command's own
-    /// bytes counts as the echo, also where none comes.
+    /// A likely cause of a missing answer if the address says ',echo': an answer that equals its command counts as the
+    /// echo, even if the adapter does not echo.
     pub(super) fn echo_told_of(&mut self) -> &'static str {
         match self.master.master().config().bus {
             Bus::Rs485 { echo: true, .. } => {
@@ -157,7 +157,7 @@ mod tests {
         assert!(low.contains("on its own") && !low.contains("restart"), "{low}");
     }
 
-    /// What is told of this motor, of which nobody gets an answer.
+    /// The error of a question to this motor, which does not answer.
     fn told_of(fleet: &Fleet, id: u8) -> String {
         let fleet = fleet.on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));

@@ -1,7 +1,7 @@
-//! The subcommands that work on motors: those that only read take simulated ones unless a bus is named.
+//! The subcommands that work on motors. Those that only read use simulated motors if no bus is named.
 //!
-//! What moves a motor or writes its memory goes through [`session`], which asks first, and through
-//! [`moving`], which stops the motor whatever ends the command early.
+//! A command that moves a motor or writes its memory goes through [`session`], which asks first. One that moves also
+//! goes through [`moving`], which stops the motor if anything ends the command early.
 
 mod brake;
 mod change_id;
@@ -35,15 +35,15 @@ mod zero;
 use super::Outcome;
 use help::{HOLDS, OF_ALL, SERIAL, SIGNALS, paragraphs};
 
-/// What can be done with motors.
+/// The subcommands.
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Subcommand {
     Scan(scan::Arguments),
-    /// Tell what motors are: model, software, run time, mode, state and zero
+    /// Print what motors are: model, software, run time, mode, state and zero
     ///
     /// Exit status: 0 every motor read, 1 not, 2 wrong usage.
     Info(status::Arguments),
-    /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
+    /// Print how motors are: angle, speed, currents, temperatures, voltage, brake and errors
     ///
     /// Exit status: 0 every motor read, 1 not, 2 wrong usage.
     Status(status::Arguments),

@@ -72,8 +72,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     })
 }
 
-/// Refuses a shaft beyond the scale: the feedback of motion mode is the scale's end there, and the motor would turn back
-/// to what it is told, however many turns that are.
+/// Fails if the shaft is beyond the scale. There the feedback of motion mode is the scale's end, and the motor would
+/// turn back to the set-point, over any number of turns.
 fn is_on_scale(session: &mut Session, motor: MotorId, ranges: &MotionRanges) -> Outcome {
     let here = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let (min, max) = ranges.ends(MotionScale::Position);
@@ -100,8 +100,8 @@ mod tests {
     use super::super::simulated::{sent, typed};
     use super::*;
 
-    /// Half a radian on, with these options. Gives how it ended, how far the shaft is then, and whether
-    /// motion frames were sent.
+    /// Moves by half a radian with these options. Returns the outcome, the angle of the shaft, and whether motion
+    /// frames were sent.
     fn to_half_a_radian(fleet: &Fleet, options: &str) -> (Outcome, f64, bool) {
         let fleet = fleet.on_can(1_000_000).unwrap();
         let log = fleet.world.log();
@@ -128,13 +128,13 @@ mod tests {
 
     #[test]
     fn scales_that_depend_on_the_motor_must_be_given() {
-        // Those of a large motor.
+        // The scales of a large motor.
         let ranges = "12.566,45,500,5,60";
         let fleet = Fleet::new(1).firmware(Firmware::V4_4);
         let fleet = fleet.motion_ranges(parse::ranges(ranges).unwrap());
         let told = refused(&fleet, "--for-s 1");
         assert!(told.starts_with("motor 1 speaks v4.4: --ranges is missing: "), "{told}");
-        // Whoever takes it for a V4.3 is contradicted.
+        // The wrong firmware is refused.
         let told = refused(&fleet, "--firmware v4.3");
         assert!(told.contains("version date 2026042402, which is v4.4's"), "{told}");
         runs(&fleet, &format!("--ranges {ranges}"));
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_motor_of_unknown_firmware_gets_no_motion_frame() {
-        // A build that was met on real motors; no report says which protocol it speaks.
+        // A build that was seen on real motors; no report says which protocol it speaks.
         let fleet = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
         let told = refused(&fleet, "--for-s 1");
         assert!(
@@ -153,7 +153,7 @@ mod tests {
         runs(&fleet, "--ranges 12.5,45,500,5,24");
     }
 
-    /// It once swung by many turns: such a motor reports the end of the scale.
+    /// It once swung over many turns, because such a motor reports the end of the scale.
     #[test]
     fn a_shaft_beyond_the_scale_is_not_moved() {
         // 12.5 rad are 716.2 degrees.

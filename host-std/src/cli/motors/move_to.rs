@@ -1,4 +1,4 @@
-//! `myactuator move`: to an angle, watched until the motor is there.
+//! `myactuator move`: moves a motor to an angle and watches it arrive.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
@@ -21,7 +21,7 @@ use super::session::Session;
 use super::session::{OneMotor, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
-/// What ends that; nothing reads back whether it is set.
+/// What ends the holding; whether it is set cannot be read back.
 const UNLESS_PROTECTED: &str = " unless its protection (0xB3) ends that";
 
 /// Move a motor to an angle, or by one, and watch it arrive
@@ -65,7 +65,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 .to_owned(),
         ));
     }
-    // As for each of the three commands that it may become.
+    // The move becomes one of three commands; all need the same consent.
     let mut session = arguments.motor.open_to_send(Opcode::AbsolutePosition)?;
     let motor = arguments.motor.id;
     session.ready(motor)?;

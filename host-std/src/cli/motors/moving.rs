@@ -1,4 +1,4 @@
-//! What holds while a motor moves: whatever ends a command early, the motor is stopped first.
+//! Stops a motor that moves before anything ends a command early.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
@@ -15,56 +15,56 @@ use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
-/// A motor stands that has not turned for so long: an arm that swings stands for a moment, too.
+/// A motor stands if it has not turned for this time. An arm that swings also stands, for a moment.
 const STANDS_AFTER: Duration = Duration::from_millis(100);
-/// The same of one that was seen to turn.
+/// The same for a motor that was seen to turn.
 const STANDS_AFTER_TURNING: Duration = Duration::from_millis(500);
-/// How long to listen whether something else moves a motor that was stopped: who commands it, does so more often.
+/// How long to listen whether something else moves a stopped motor. A program that commands a motor sends more often.
 const LISTENING: Duration = Duration::from_millis(250);
-/// For how long a bus that carries nothing is tried again.
+/// How long to retry on a bus that carries nothing.
 pub(super) const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
-/// How long to wait at the most before looking at the bus again, or whether the user interrupts.
+/// The longest wait before the next look at the bus, and for an interruption by the user.
 pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
-/// What is true of a motor that was switched off.
+/// The state of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 
-/// What is true of one that runs nothing though it was told to hold.
+/// The state of a motor that runs nothing although it was told to hold.
 const RUNS_NOTHING: &str =
     "has confirmed the stop (0x81) but runs nothing (mode 0): its shaft is free";
 
-/// What is true of one that was, elsewhere, and then told to hold still.
+/// The state of a motor that something else has switched off and then told to hold still.
 const ON_AGAIN: &str =
     "was switched off and on again by something else on this bus: its state is not known";
 
-/// How motors are that were told to hold.
+/// The states of motors that were told to hold.
 #[derive(Default)]
 struct Looks {
-    /// With what is true of them: nobody may rely on these.
+    /// Motors that cannot be relied on, each with its state.
     failing: Vec<(MotorId, String)>,
-    /// They have no error, and run nothing (mode 0).
+    /// Motors without an error that run nothing (mode 0).
     idle: MotorSet,
-    /// They have no error, and their brakes were told to lock last.
+    /// Motors without an error whose brakes were last told to lock.
     locked: MotorSet,
 }
 
-/// The motors of which something is told.
+/// The motors in this list.
 fn of(told: &[(MotorId, String)]) -> MotorSet {
     told.iter().map(|(motor, _)| *motor).collect()
 }
 
-/// A motor that is waited for to stand.
+/// A motor that has yet to stand.
 #[derive(Clone, Copy)]
 struct Slowing {
-    /// The slowest turning that was seen, of one that was seen to turn, in raw units.
+    /// The slowest speed that was seen, in raw units; `None` if it was not seen to turn.
     slowest: Option<u16>,
-    /// When it has to be slower.
+    /// When it must be slower at the latest.
     latest: Instant,
     stands_since: Option<Instant>,
 }
 
 impl Slowing {
-    /// It does not turn now. Gives whether it stands.
+    /// Notes that it does not turn now. Returns whether it stands.
     fn note_standing(&mut self, now: Instant) -> bool {
         let since = *self.stands_since.get_or_insert(now);
         let after = match self.slowest {
@@ -74,7 +74,7 @@ impl Slowing {
         now - since >= after
     }
 
-    /// It turns so. Gives whether it becomes slower, or has time for that.
+    /// Notes its speed. Returns whether it slows down, or still has time to.
     fn note_turning(&mut self, speed: CoarseSpeed, now: Instant) -> bool {
         self.stands_since = None;
         let turns = speed.raw().unsigned_abs();
@@ -86,8 +86,8 @@ impl Slowing {
 }
 
 impl Session {
-    /// Does `work`, which moves these motors. If it fails or panics, or Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or
-    /// a request to end comes, they are stopped (0x81) before anything else.
+    /// Does `work`, which moves these motors. If it fails or panics, or if Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or a
+    /// request to end comes, the motors are stopped (0x81) before anything else.
     pub(super) fn moving<T>(
         &mut self,
         motors: impl Into<MotorSet>,
@@ -98,7 +98,7 @@ impl Session {
         self.master.moved = motors;
         match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(outcome) => outcome.map_err(|why| {
-                // What is refused after a stop fails for that.
+                // After a stop elsewhere commands are refused: report the stop instead.
                 let why = match (why, self.check_stopped_elsewhere()) {
                     (Unfinished::Failed(_), Err(stopped)) => stopped,
                     (why, _) => why,
@@ -115,18 +115,18 @@ impl Session {
         }
     }
 
-    /// Stops these motors, waits until they have confirmed, and sees that nothing else moves them on.
+    /// Stops these motors, waits until they have confirmed, and checks that nothing else goes on moving them.
     pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         self.confirm_stop(kind, motors)?;
         self.see_stopped(kind, motors)
     }
 
-    /// Stops these motors, as above, and says how they are.
+    /// Stops these motors in the same way, and returns their states.
     pub(super) fn stopped_by(&mut self, kind: StopKind, motors: MotorSet) -> Outcome<String> {
         self.stop(kind, motors).and_then(|()| self.stopped(motors))
     }
 
-    /// Stops these motors and waits until they have confirmed; a line that fails for a moment is waited for.
+    /// Stops these motors and waits until they have confirmed. Retries if a line fails for a moment.
     pub(super) fn confirm_stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         if kind == StopKind::Off {
             self.master.off = self.master.off.with(motors);
@@ -147,8 +147,8 @@ impl Session {
         Ok(())
     }
 
-    /// Stops these motors; gives those that have not confirmed. One is stopped by itself: on RS485 a stop of all
-    /// reaches the others on the line, too, which may hold a load.
+    /// Stops these motors and returns those that have not confirmed. A single motor gets a stop of its own: on RS485 a
+    /// stop of all would also reach the others on the line, which may hold a load.
     fn silent_at_stop(&mut self, kind: StopKind, motors: MotorSet) -> MotorSet {
         let mut each = motors.iter();
         match (each.next(), each.next()) {
@@ -158,8 +158,9 @@ impl Session {
         }
     }
 
-    /// Sees that nothing else on the bus moves these motors on, which have confirmed the stop. Whoever gives way
-    /// to a stop, as this program does, may have sent once more before hearing of it: so there is a second one.
+    /// Checks that nothing else on the bus goes on moving these motors, which have confirmed the stop. A program that
+    /// gives way to a stop, as this one does, may have sent once more before it heard of the stop: so there is a second
+    /// stop.
     pub(super) fn see_stopped(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         let mut moved = self.moved_elsewhere(motors);
         if !moved.is_empty() {
@@ -169,7 +170,7 @@ impl Session {
         self.is_left_alone(motors, moved)
     }
 
-    /// That nothing else has moved these motors on.
+    /// Fails if something else has moved some of these motors.
     fn is_left_alone(&self, motors: MotorSet, moved: MotorSet) -> Outcome {
         if moved.is_empty() {
             return Ok(());
@@ -185,42 +186,44 @@ impl Session {
         )))
     }
 
-    /// Those of these motors that something else moves: the replies to it tell. They are asked all the while, so
-    /// that a short communication-loss protection does not let a load go.
+    /// Listens for replies to something else that moves these motors, and returns the motors it moves. Asks the motors
+    /// meanwhile, so that a short communication-loss protection does not let a load go.
     fn moved_elsewhere(&mut self, motors: MotorSet) -> MotorSet {
         let begun = self.master.awake();
         while self.master.awake() - begun < LISTENING {
-            // They have confirmed just now; what a failure would mean is found out by whoever asks next.
+            // They have just confirmed. If this fails, the next question finds out why.
             self.ask_each(motors, ReadStatus2, None);
             let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
         }
         self.moved_on(motors)
     }
 
-    /// Those of these motors that something else has moved since they confirmed the stop.
+    /// The motors that something else has moved since they confirmed the stop.
     fn moved_on(&self, motors: MotorSet) -> MotorSet {
         motors.iter().filter(|motor| self.master.moved_on.contains(*motor)).collect()
     }
 
-    /// Those of these motors that are off, as far as is known.
+    /// The motors that are off, as far as is known.
     fn off(&self, motors: MotorSet) -> MotorSet {
         motors.iter().filter(|motor| self.master.is_off(*motor)).collect()
     }
 
-    /// How motors are that have confirmed the stop: they hold still, are held by their brakes, or were switched off.
+    /// The states of motors that have confirmed the stop: they hold still, are held by their brakes, or were switched
+    /// off.
     ///
     /// # Errors
-    /// The same, if one of them holds nothing, does not tell, or does not come to rest: nobody may rely on it.
+    /// The states, if a motor holds nothing, does not answer, or does not come to rest.
     pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
         let was_off = self.off(motors);
         let on = motors.without(was_off);
-        // By now they have heard this program for a while: who has lost its master runs what it only confirmed before.
+        // By now they have heard this program for a while. A motor that had lost its master confirms its first commands
+        // without running them, and runs them now.
         let Looks { mut failing, idle, .. } = self.look_at_held(on);
         if !idle.is_empty() {
             self.confirm_stop(StopKind::Hold, idle)?;
         }
         failing.extend(self.restless(on.without(of(&failing))));
-        // That takes its time, in which more may happen to them.
+        // Waiting took time, in which their states may have changed.
         let Looks { failing: since, idle, locked } = self.look_at_held(on.without(of(&failing)));
         failing.extend(since);
         let off = self.off(motors);
@@ -234,7 +237,7 @@ impl Session {
         let mut others: Vec<_> = off.iter().map(|motor| (motor, OFF.to_owned())).collect();
         others.extend(failing);
         others.sort_unstable_by_key(|(motor, _)| *motor);
-        // Who commands seldom may not have been heard before.
+        // A program that sends seldom may be heard only now.
         self.is_left_alone(motors, self.moved_on(motors))?;
         let others = others.into_iter().map(|(motor, told)| format!("motor {motor} {told}"));
         let holding = (!holding.is_empty()).then(|| hold_still(holding));
@@ -243,7 +246,7 @@ impl Session {
         if all_well { Ok(told) } else { Err(Unfinished::Failed(told)) }
     }
 
-    /// A look at motors that have confirmed the stop (0x81): whether they run it.
+    /// Asks motors that have confirmed the stop (0x81) whether they run it.
     fn look_at_held(&mut self, motors: MotorSet) -> Looks {
         let mut looks = Looks::default();
         let mut without_errors = MotorSet::EMPTY;
@@ -278,7 +281,7 @@ impl Session {
     /// Waits until a motor that slows down stands.
     ///
     /// # Errors
-    /// It turns and has not become slower for [`LONGEST_BRAKING`], or does not tell.
+    /// It turns and has not slowed down for [`LONGEST_BRAKING`], or does not answer.
     pub(super) fn come_to_rest(&mut self, motor: MotorId) -> Outcome {
         match self.restless(motor.into()).pop() {
             Some((motor, told)) => Err(Unfinished::Failed(format!("motor {motor} {told}"))),
@@ -286,8 +289,8 @@ impl Session {
         }
     }
 
-    /// Waits until these motors, which slow down, stand. Gives those of which that does not come true: they turn and
-    /// have not become slower for [`LONGEST_BRAKING`], or do not tell, or the user does not want to wait.
+    /// Waits until these motors, which slow down, stand. Returns those that do not: they turn and have not slowed down
+    /// for [`LONGEST_BRAKING`], or do not answer, or the user does not want to wait.
     fn restless(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
         let mut restless = Vec::new();
         let mut turning = motors;
@@ -325,7 +328,7 @@ impl Session {
         restless
     }
 
-    /// Whether Ctrl-C or the like came, once more if it was that for which motors were stopped.
+    /// Whether Ctrl-C or the like has come; if the motors were stopped for one, whether it has come again.
     pub(super) fn is_not_to_wait(&self) -> bool {
         self.again.load(Ordering::Relaxed)
     }
@@ -378,7 +381,7 @@ pub(super) fn named(motors: MotorSet) -> String {
     format!("{noun} {motors}")
 }
 
-/// That these motors are stopped, and have no error. Whether they have a protection, nothing reads back.
+/// Says that these motors are stopped and have no error. Whether they have a protection cannot be read back.
 fn hold_still(motors: MotorSet) -> String {
     let are = match motors.len() {
         1 => "is stopped and holds still (0x81) unless its protection (0xB3) ends that",
@@ -387,7 +390,7 @@ fn hold_still(motors: MotorSet) -> String {
     format!("{} {are}", named(motors))
 }
 
-/// That these motors are stopped, and run nothing behind their brakes.
+/// Says that these motors are stopped, and run nothing behind their brakes.
 fn braked(motors: MotorSet) -> String {
     let are = match motors.len() {
         1 => "is stopped and runs nothing (mode 0): its brake holds it, which it reports as locked",
@@ -398,7 +401,7 @@ fn braked(motors: MotorSet) -> String {
     format!("{} {are}", named(motors))
 }
 
-/// Why the work ended, and that the motors have stopped, or not.
+/// Why the work ended, and whether the motors have stopped.
 pub(super) fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
     let sentence = match &why {
         Unfinished::Usage(sentence)
@@ -465,7 +468,7 @@ mod tests {
         let all = clap::Command::new("typed");
         let mut all = <super::super::Subcommand as clap::Subcommand>::augment_subcommands(all);
         let help = all.find_subcommand_mut(name).unwrap().render_long_help().to_string();
-        // A narrow terminal's is broken into lines elsewhere.
+        // Where lines break depends on the width of the terminal.
         help.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 
@@ -486,7 +489,7 @@ mod tests {
         }
     }
 
-    /// A motor that stops by itself when it has heard nothing for so long.
+    /// A motor that stops on its own when it has heard nothing for this time.
     fn protected_after(millis: u32) -> (CanFleet, Session) {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
@@ -512,7 +515,7 @@ mod tests {
         assert!(is_on());
     }
 
-    /// It says that its brake is locked whenever it obeys no motion command, and has none.
+    /// It has no brake, and reports a locked one whenever it obeys no motion command.
     #[test]
     fn so_is_one_that_says_its_brake_is_locked() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
@@ -537,7 +540,7 @@ mod tests {
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         let told = session.stopped(MotorId::MIN.into()).unwrap();
         assert_eq!(told, braked(MotorId::MIN.into()));
-        // Unless the shaft turns all the same.
+        // Unless the shaft turns.
         fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
@@ -591,7 +594,7 @@ mod tests {
         let told = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
         assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
-        // From 540 dps 5.4 s.
+        // From 540 dps it takes 5.4 s.
         let (outcome, dps) = interrupted_at(54_000);
         assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
@@ -619,7 +622,7 @@ mod tests {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
-        // Whatever turns it is stronger.
+        // What turns it is stronger than the motor.
         fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         let begun = session.master.now();
         let outcome = session.stopped(MotorId::MIN.into());
@@ -652,7 +655,7 @@ mod tests {
         for turned in &fleet.drives[..3] {
             turned.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         }
-        // These say nothing any more; the last one acknowledges their frames.
+        // These are silent now; the last one acknowledges their frames.
         for silent in &fleet.drives[3..5] {
             fleet.world.cut(silent.station());
         }

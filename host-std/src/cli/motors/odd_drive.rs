@@ -1,5 +1,5 @@
-//! A drive that no quirk makes, for tests: it keeps no other id, and runs on after 0x76. What it does not know it
-//! answers with its last reply. Its brake may slip when it has held for a while.
+//! A drive for tests that no quirk describes. It stores no other id, and runs on after 0x76. It answers unknown
+//! commands with its last reply. Its brake may slip after it has held for a while.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -17,29 +17,29 @@ const RESPONSE: Duration = Duration::from_micros(800);
 
 #[derive(Debug, Default)]
 pub(super) struct OddDrive {
-    /// What it was told, in order.
+    /// The command bytes that it got, in order.
     pub(super) told: Vec<u8>,
-    /// What it says of that.
+    /// The run time that it reports.
     pub(super) run_time_ms: u32,
-    /// What runs, if it answers that.
+    /// The running mode that it reports; `None` if it does not answer that.
     pub(super) mode: Option<u8>,
     /// Whether it draws a current.
     pub(super) draws: bool,
-    /// How often it does not hear that its brake is to open.
+    /// How many releases of its brake it ignores.
     pub(super) ignored_releases: u32,
-    /// Whether its brake was told to open last.
+    /// Whether the last command to its brake was a release.
     pub(super) is_open: bool,
-    /// So long after it was told to lock, the shaft turns behind it.
+    /// How long after a lock the shaft turns behind the brake.
     pub(super) slips_after: Option<Duration>,
     locked_at: Option<Instant>,
     last: Data,
     waiting: VecDeque<(Instant, Packet)>,
 }
 
-/// One with id 1, alone on a bus, and a hand on it.
+/// A drive with id 1, alone on a bus, and access to it.
 pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-    // In place of the usual one.
+    // It takes the place of the usual drive.
     fleet.world.cut(fleet.drives[0].station());
     let drive = Arc::new(Mutex::new(OddDrive::default()));
     fleet.world.attach_with(Arc::clone(&drive), ControllerConfig::MAILBOXES);

@@ -1,5 +1,5 @@
-//! Which bus a command is for: `--bus`, else the environment's. Simulated motors are taken for granted only
-//! where nothing is at stake: whoever types `stop` must not be told that motors stand that are nowhere.
+//! Which bus a command is for: `--bus`, else the one of the environment. Simulated motors are the default only for
+//! commands that read: `stop` must not report that motors stand which do not exist.
 
 use std::env;
 
@@ -22,13 +22,13 @@ pub(super) struct OnBus {
 }
 
 impl OnBus {
-    /// Where to look: on simulated motors if no bus is named.
+    /// The bus to read from: simulated motors if none is named.
     pub(super) fn to_look(&self) -> Outcome<BusAddress> {
         let simulated = BusAddress::Simulated { motors: 4, kind: BusKind::Can };
         Ok(self.named()?.unwrap_or(simulated))
     }
 
-    /// Where to stop, move or write to motors: only what was named.
+    /// The bus on which to stop, move or write to motors: it must be named.
     pub(super) fn to_act(&self) -> Outcome<BusAddress> {
         self.named()?.ok_or_else(|| {
             Unfinished::Usage(format!(

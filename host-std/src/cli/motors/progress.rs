@@ -12,12 +12,12 @@ const LINE_EVERY: Duration = Duration::from_millis(200);
 const BAR_EVERY: Duration = Duration::from_millis(50);
 /// The bar's length in characters.
 const LENGTH: usize = 20;
-/// How wide a terminal is that does not say it.
+/// The width of a terminal that does not report it.
 const USUAL_WIDTH: usize = 80;
-/// To the start of the line, and the rest of it erased.
+/// Goes to the start of the line and erases it.
 const ERASE: &str = "\r\x1b[K";
 
-/// Shows progress from 0 to 1. What finds no reader is left out.
+/// Shows progress from 0 to 1. What a slow reader does not take is left out.
 #[derive(Debug)]
 pub(super) struct Progress {
     on_terminal: bool,
@@ -29,7 +29,7 @@ impl Progress {
         Self { on_terminal: io::stdout().is_terminal(), next: start }
     }
 
-    /// Shows `share` of the way and a line about the motor, which is made only when it is shown.
+    /// Shows `share` of the way and a line about the motor. The line is made only if it is shown.
     pub(super) fn show(
         &mut self,
         now: Instant,
@@ -49,7 +49,7 @@ impl Progress {
     }
 }
 
-/// Whatever the end, nothing of the bar is left on the terminal.
+/// Erases the bar from the terminal, however the command ends.
 impl Drop for Progress {
     fn drop(&mut self) {
         if self.on_terminal {
@@ -64,7 +64,7 @@ fn width() -> usize {
     if columns == 0 { USUAL_WIDTH } else { columns }
 }
 
-/// A bar and the line, cut where the terminal ends.
+/// The bar and the line, cut to the width of the terminal.
 fn bar(share: f64, line: &str, width: usize) -> String {
     let done = (share.clamp(0.0, 1.0) * LENGTH as f64) as usize;
     let bar = format!("[{:<LENGTH$}] {line}", "#".repeat(done));

@@ -133,7 +133,7 @@ mod tests {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = turning(&fleet);
         let log = fleet.world.log();
-        // The user is not asked for that; and one that begins to turn meanwhile is not restarted, either.
+        // The user is not asked about it. A motor that begins to turn meanwhile is not restarted, either.
         for told in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
             assert!(

@@ -1,5 +1,5 @@
-//! Which revision of the protocol a motor speaks: what the user says, else what its version date leads
-//! to. It is never guessed: scales of V4.3 sent to a V4.4 have given 2.5 times the torque.
+//! Which revision of the protocol a motor speaks: the one that the user gives, else that of its version date. It is
+//! never guessed: scales of V4.3 sent to a V4.4 have given 2.5 times the torque.
 
 use myactuator_protocol_core::command::{MotionRanges, ReadVersionDate, VersionDate};
 use myactuator_protocol_core::{Firmware, MotorId, Opcode};
@@ -7,7 +7,7 @@ use myactuator_protocol_core::{Firmware, MotorId, Opcode};
 use super::session::Session;
 use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
-/// What the user says of a motor.
+/// What the user says about a motor.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct MotorRevision {
     /// The revision of the protocol that the motor speaks, v4.3 or v4.4 [default: that of its version date (0xB2), if
@@ -20,12 +20,11 @@ pub(super) struct MotorRevision {
     pub(super) ranges: Option<MotionRanges>,
 }
 
-/// The firmware of a motor, or the version date that it reports and that leads to none.
+/// The firmware of a motor, or its version date if that is not that of a known firmware.
 pub(super) type Found = Result<Firmware, VersionDate>;
 
 impl MotorRevision {
-    /// The firmware that was given, else the one that the motor's version date leads to. Where both are
-    /// known they must agree.
+    /// The firmware that was given, else that of the motor's version date. If both are known they must agree.
     pub(super) fn find(&self, session: &mut Session, motor: MotorId) -> Outcome<Found> {
         let date = session.ask(motor, ReadVersionDate)?.version_date;
         match (self.firmware, Firmware::of_version_date(date)) {
@@ -39,8 +38,8 @@ impl MotorRevision {
         }
     }
 
-    /// Refuses a command that a motor's firmware does not have, whatever was given. Where that is not
-    /// known, the user is told as whose command it is taken.
+    /// Fails if the motor's firmware does not have the command, whatever firmware was given. If the firmware is not
+    /// known, prints a note.
     pub(super) fn check_has(
         &self,
         session: &mut Session,

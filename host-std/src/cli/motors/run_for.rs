@@ -1,7 +1,7 @@
 //! Running for a limited time: what `speed`, `torque` and `motion` have in common.
 //!
-//! The command is repeated all the time, so that a drive with communication-loss protection keeps
-//! running and each reply tells how the motor does.
+//! The command is repeated all the time, so that a drive with communication-loss protection keeps running. Each reply
+//! shows the state of the motor.
 
 use std::mem::replace;
 
@@ -21,12 +21,12 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How often the command is sent.
 const SEND_EVERY: Duration = Duration::from_millis(10);
-/// How often errors are looked at, in commands.
+/// After how many commands errors are read.
 const ERRORS_EVERY: u32 = 10;
-/// Between two commands goes less time than this, however badly the motor answers: else the program, or the machine,
-/// was frozen. The motor may have stopped by itself, and nobody expects it to go on.
+/// The gap between two commands is shorter than this, however badly the motor answers. A longer gap means that the
+/// program or the machine was frozen. The motor may have stopped on its own, and nobody expects it to go on.
 const LONGEST_GAP: Duration = Duration::from_secs(1);
-/// So many commands in a row without a reply are a motor that does not answer.
+/// After more commands than this in a row without a reply, the motor does not answer.
 const MOST_MISSED: u32 = 5;
 
 /// Which motor, and how long.
@@ -34,7 +34,7 @@ const MOST_MISSED: u32 = 5;
 pub(super) struct Span {
     #[command(flatten)]
     pub(super) motor: OneMotor,
-    /// For how long, s.
+    /// How long, s.
     #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true, default_value = "1")]
     pub(super) for_s: Duration,
 }
@@ -47,11 +47,12 @@ pub(super) struct Run<C> {
     pub(super) does: String,
     /// Whether a locked brake must be released first: torque does nothing against it (2.19.1).
     pub(super) needs_open_brake: bool,
-    /// How it is stopped, unless it runs something already that may hold a load: that is held.
+    /// How it is stopped. A motor that already ran something, and may hold a load, is held instead.
     pub(super) end: StopKind,
 }
 
-/// Asks, runs and ends. `may_run` refuses a motor that must not run, `reading` tells a reply in a few words.
+/// Asks the user, runs the motor and ends. `may_run` refuses a motor that must not run; `reading` puts a reply into
+/// words.
 pub(super) fn run<C: Command + Copy>(
     session: &mut Session,
     span: &Span,
@@ -64,11 +65,11 @@ pub(super) fn run<C: Command + Copy>(
     may_run(session)?;
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
-    // Not every drive answers that.
+    // Not every drive answers this.
     let mut may_hold =
         || session.master.ask(motor, ReadRunningMode).ok().is_none_or(|reply| reply.mode.runs());
     let end = match run.end {
-        // Where only the motor holds a load, it would fall.
+        // A load that only the motor holds would fall.
         StopKind::Off if !locked && may_hold() => StopKind::Hold,
         end => end,
     };
@@ -78,7 +79,7 @@ pub(super) fn run<C: Command + Copy>(
         StopKind::Off => "then stop, lock its brake and switch off, or hold still if it has none",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
-    // Until the answer a shaft may have been turned.
+    // The shaft may have been turned before the user answered.
     may_run(session)?;
     let ended = session.moving(motor, |session| {
         if opens {
@@ -89,10 +90,10 @@ pub(super) fn run<C: Command + Copy>(
             StopKind::Off => put_down(session, motor),
             StopKind::Hold => session.stopped_by(StopKind::Hold, motor.into()),
         };
-        // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
+        // An interruption here ends in a stop that is waited for, as everywhere.
         session.check_interrupted()?;
-        // A last stop that fails tells what is true: it is no reason for one more. Nor is a restart meanwhile, which
-        // may be why it fails.
+        // If the last stop fails, its error says what is true: no further stop is needed. The same holds for a restart
+        // meanwhile, which may be why it fails.
         Ok(match runs_on(session, motor, &mut ran) {
             Ok(()) => ended,
             Err(why) => Err(told_with_stop(why, ended)),
@@ -101,30 +102,30 @@ pub(super) fn run<C: Command + Copy>(
     say(&format!("motor {motor} has run for {seconds} s; {ended}"))
 }
 
-/// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
+/// Stops a motor, locks its brake and switches it off, in this order, so that no load falls.
 fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.stop(StopKind::Hold, motor.into())?;
-    // Not on a shaft that turns still.
+    // The brake is not locked on a shaft that still turns.
     session.come_to_rest(motor)?;
     let mut lock = session.lock_brake(motor)?;
     if let Lock::Holds = lock {
         session.confirm_stop(StopKind::Off, motor.into())?;
-        // Only now does it hold alone: that is looked at before anything else.
+        // Only now does the brake hold alone: check that first.
         lock = session.check_brake(motor)?;
     }
     match lock {
         Lock::Holds => {}
-        // Only the motor holds what it holds.
+        // Only the motor holds the load.
         Lock::IsNotThere => return session.stopped_by(StopKind::Hold, motor.into()),
-        // The motor held its load, so it is to hold that again.
+        // The motor held its load, so it must hold it again.
         Lock::Slips { why, .. } => return Err(session.hold_again(motor, why)),
     }
     session.see_stopped(StopKind::Off, motor.into())?;
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 
-/// Sends the command over and over until the time is up. A motor that restarts meanwhile has not run. Gives for how
-/// long it has run since its start.
+/// Sends the command repeatedly until the time is up. Fails if the motor restarts meanwhile. Returns its run time since
+/// its start.
 fn repeat<C: Command + Copy>(
     session: &mut Session,
     span: &Span,
@@ -161,7 +162,7 @@ fn repeat<C: Command + Copy>(
                     format!("{:6.2} s {}", seconds(now - start), reading(&reply))
                 })?;
             }
-            // The next one is due soon; a set-point is not sent again.
+            // No retry: the next set-point is due soon.
             Err(CallError::Failed { failure: Failure::NoReply | Failure::NotExecuted, .. })
                 if missed < MOST_MISSED =>
             {
@@ -172,7 +173,7 @@ fn repeat<C: Command + Copy>(
         if turn % ERRORS_EVERY == 0 {
             session.ready(motor)?;
             runs_on(session, motor, &mut ran)?;
-            // The first commands after a silence are not obeyed (2.31.1), and motion mode has no mode of this list.
+            // The first commands after a silence are not obeyed (2.31.1), and motion mode is not in the list of modes.
             if turn > 0 && !command.kind().is_motion() {
                 runs(session, motor)?;
             }
@@ -181,7 +182,8 @@ fn repeat<C: Command + Copy>(
     Ok(ran)
 }
 
-/// That the motor has not restarted since it had run for so long. One that takes no time for it is never silent.
+/// Fails if the motor has restarted since it reported this run time. A quick restart causes no silence, so only this
+/// shows it.
 fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome {
     let runs = session.ask(motor, ReadRunTime)?;
     let ran = replace(ran, runs);
@@ -195,7 +197,7 @@ fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome 
     )))
 }
 
-/// That the drive does not say that it runs nothing.
+/// Fails if the drive reports that it runs nothing.
 fn runs(session: &mut Session, motor: MotorId) -> Outcome {
     if session.ask(motor, ReadRunningMode)?.mode.runs() {
         return Ok(());
@@ -241,7 +243,7 @@ mod tests {
         Fleet::new(1).on_can(1_000_000).unwrap()
     }
 
-    /// Turns the motor and calls `then` at the first reply. Gives how it ended.
+    /// Turns the motor and calls `then` at the first reply. Returns how it ended.
     fn turn(session: &mut Session, then: impl Fn()) -> Unfinished {
         let outcome = session.moving(MotorId::MIN, |session| {
             repeat(session, &typed("--id 1"), TURN, |_| {
@@ -257,7 +259,7 @@ mod tests {
         sent(log).iter().map(|packet| packet.data[0]).collect()
     }
 
-    /// It once was said to have run, and held still by the time it was looked at.
+    /// It once counted as having run, because it held still when it was checked.
     #[test]
     fn a_motor_that_lets_go_between_two_commands_has_not_run() {
         let fleet = fleet();
@@ -290,7 +292,7 @@ mod tests {
         session.standing(MotorId::MIN).unwrap();
     }
 
-    /// It falls where the output goes off before the brake has locked.
+    /// It falls if the output goes off before the brake has locked.
     #[test]
     fn a_load_stays_where_it_is_while_a_slow_brake_locks() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -308,7 +310,7 @@ mod tests {
         assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
-    /// 0x78 is acknowledged there, too.
+    /// It acknowledges 0x78, too.
     #[test]
     fn a_motor_that_has_no_brake_goes_on_holding_its_load() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -358,13 +360,13 @@ mod tests {
         let truth = "; motor 1 has confirmed the stop (0x81) but reports an error (motor stalled), for \
                      which a drive cuts its output: only a locked brake holds its shaft";
         assert!(told.ends_with(truth), "{told}");
-        // It is stopped before it is asked how it is.
+        // It is stopped before its state is read.
         let mut commands = commands(&log);
         commands.retain(|byte| *byte != 0x9C);
         assert!(commands.ends_with(&[0x81, 0x9A]), "{commands:02X?}");
     }
 
-    /// Runs the motor so for this time, and stops it at the end.
+    /// Runs the motor like this for this time, and stops it at the end.
     fn run_to_end<C: Command + Copy>(
         session: &mut Session,
         command: C,
@@ -380,7 +382,7 @@ mod tests {
         run(session, &typed, &run_it, |_| Ok(()), reading)
     }
 
-    /// What only the motor holds would fall, and what turns would run on.
+    /// A load that only the motor holds would fall, and a turning shaft would turn on.
     #[test]
     fn a_motor_is_stopped_and_switched_off_behind_its_brake_unless_it_held_before() {
         let put_down: &[u8] = &[0x81, 0x78, 0x80];
@@ -405,7 +407,7 @@ mod tests {
         }
     }
 
-    /// It says so also where there is no brake, and a load would fall.
+    /// A motor without a brake reports the same, and a load would fall.
     #[test]
     fn who_says_lock_after_an_acknowledged_release_is_held_at_the_end() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
@@ -426,7 +428,7 @@ mod tests {
         let drive = fleet.drives[0].clone();
         let outcome =
             run_to_end(&mut Session::on(&fleet), TURN, (0.25, false, StopKind::Hold), || {
-                // Whatever turns it is stronger.
+                // What turns it is stronger than the motor.
                 drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
             });
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
@@ -437,7 +439,7 @@ mod tests {
     fn a_stop_at_the_end_that_something_else_undoes_is_told_once() {
         for end in [StopKind::Hold, StopKind::Off] {
             let fleet = fleet();
-            // Its first comes after the run.
+            // The first of these comes after the run.
             for after_ms in (320..5_000).step_by(20) {
                 let after = Sends::Once(Duration::from_millis(after_ms));
                 OtherMaster::attach(&fleet, to_first(TURN.encode()), after);
@@ -488,7 +490,7 @@ mod tests {
         }
     }
 
-    /// What a run of a second with this restart fails with, however short it is.
+    /// The error of a run of one second with this restart.
     fn told_of_restart<C: Command + Copy>(command: C, end: StopKind, at: &str) -> String {
         let restart = format!("reset@1+{at}").parse().unwrap();
         let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
@@ -499,7 +501,7 @@ mod tests {
         told
     }
 
-    /// It once was said to have run: the simulated restart takes 44 ms, which is no silence.
+    /// It once counted as having run: the simulated restart takes 44 ms, too short for a silence.
     #[test]
     fn a_restart_that_takes_no_time_is_told() {
         let still = MotionSetPoint { kp: 10.0, kd: 1.0, ..MotionSetPoint::default() };
@@ -516,10 +518,10 @@ mod tests {
         }
     }
 
-    /// It once was said to have run, or to have heard nothing for too long.
+    /// It once counted as having run, or as having heard nothing for too long.
     #[test]
     fn a_restart_while_the_motor_is_stopped_at_the_end_is_told() {
-        // Before the stop is confirmed, and while it is listened whether something else moves the motor.
+        // Before the stop is confirmed, and while the program listens whether something else moves the motor.
         for ms in (2_000..2_010).chain([2_200]) {
             let at = format!("{ms}ms");
             let told = told_of_restart(TURN, StopKind::Hold, &at);
@@ -554,7 +556,8 @@ mod tests {
             let why = turn(&mut session, || {});
             let told = format!("something else on this bus has stopped motor 1; motor 1 {how}");
             assert_eq!(why, Unfinished::Failed(told));
-            // One may have been on its way already. It is stopped as it was, and not switched on for that.
+            // One command may have been in flight already. The motor is stopped as it was, and not switched on for
+            // that.
             let sent = commands(&log);
             let stopped = sent.iter().position(|byte| *byte == first).unwrap();
             let after = &sent[stopped + 1..];

@@ -1,4 +1,4 @@
-//! `myactuator scan`: who is there.
+//! `myactuator scan`: which motors are on a bus.
 
 use indicatif::ProgressBar;
 use myactuator_host_std::open::{BusAddress, BusError};
@@ -35,7 +35,7 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
-/// Who was found, or that the bus carries nothing at this rate.
+/// The motors that were found, or why the bus carries nothing at this rate.
 type Found = Result<MotorSet, BusError>;
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
@@ -77,7 +77,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     ))
 }
 
-/// Whether it may be the rate's fault, so that others are tried.
+/// Whether the rate may be the cause, so that others are tried.
 const fn is_of_rate(error: &BusError) -> bool {
     error.is_outage() || matches!(error, BusError::Port(PortError::LineRate { .. }))
 }
@@ -108,8 +108,7 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
     format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
-/// The line about a motor that answers. That two motors have its id is reported beside the output, and is a part of
-/// the JSON.
+/// The line about a motor that answers. If two motors seem to have its id, a note says so; the JSON has the note, too.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<String> {
     let model = match session.master.ask(motor, ReadModel) {
         Ok(model) => Ok(Group::default().and(&model)),
@@ -120,7 +119,7 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
     let status = session.ask(motor, ReadStatus1);
     let read = model.and_then(|model| Ok(model.and(&status?)));
     let mut note = None;
-    // Who does not answer always is told of below.
+    // A motor that does not always answer is reported below.
     if session.is_shared(motor) == Ok(true) {
         let shared = shared(motor);
         report("note", &shared);

@@ -1,4 +1,4 @@
-//! `myactuator send`: one command, known or not, and what is answered.
+//! `myactuator send`: one command, known or not, and its reply.
 
 use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
@@ -72,8 +72,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     run_on(&mut session, arguments)
 }
 
-/// The firmware by which replies are read: the one that was given, else the first that has the command.
-/// All that have it share its layout.
+/// The firmware by which replies are read: the one that was given, else the first that has the command. All firmwares
+/// that have a command share its layout.
 fn read_as(arguments: &Arguments) -> Firmware {
     let has_it = |firmware: &Firmware| match arguments.command.opcode() {
         Some(opcode) => opcode.is_in(*firmware),
@@ -83,7 +83,7 @@ fn read_as(arguments: &Arguments) -> Firmware {
     arguments.revision.firmware.or_else(first).unwrap_or(Firmware::V4_3)
 }
 
-/// Whether it only asks a motor for values.
+/// Whether this only asks a motor for values.
 fn reads(kind: Kind) -> bool {
     let has_values = |opcode: Opcode| opcode.reply_rule() == ReplyRule::Values;
     kind.opcode().is_some_and(has_values) && !needs_consent(kind)
@@ -116,7 +116,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     if !kind.moves() {
         return send(session);
     }
-    // One that moves is stopped if something goes wrong, or it is to end before its reply is read.
+    // After a command that moves, the motor is stopped if something fails, or if the program ends before its reply is
+    // read.
     session.moving(motors, |session| {
         send(session)?;
         session.wait_for_reader()
@@ -138,7 +139,7 @@ impl Sending {
         self.command.kind()
     }
 
-    /// As a request of the master: what the table has is known by its command byte.
+    /// The command as a request of the master, which knows those of the table by their command byte.
     fn as_raw(&self) -> RawCommand {
         match self.command {
             AnyCommand::Raw(command) => command,
@@ -225,7 +226,7 @@ impl Sending {
     fn to_all(&self, session: &mut Session, motors: MotorSet) -> Outcome {
         let expected = match self.command {
             _ if !self.kind().has_reply() => MotorSet::EMPTY,
-            // They answer with the id that they have been given.
+            // They answer with the new id.
             AnyCommand::BusId(BusId::Write(id)) => id.into(),
             _ => motors,
         };
@@ -275,7 +276,7 @@ impl Sending {
         Err(Unfinished::Failed(format!("no reply from {}: {unknown}{why}", named(silent))))
     }
 
-    /// Says that it was sent, where no reply is awaited.
+    /// Says that the command was sent, if no reply is awaited.
     fn print_sent(&self, motors: MotorSet) -> Outcome {
         if self.json {
             return Ok(());
@@ -315,7 +316,7 @@ mod tests {
     use super::super::simulated::{sent, typed, with};
     use super::*;
 
-    /// Sends on these drives. Gives how it ended, and the packets that were sent.
+    /// Sends on these drives. Returns the outcome, and the packets that were sent.
     fn send(fleet: &Fleet, line: &str) -> (Outcome, Vec<Packet>) {
         let arguments: Arguments = typed(line);
         let fleet = fleet.on_can(1_000_000).unwrap();
@@ -323,7 +324,7 @@ mod tests {
         let config = Config { firmware: read_as(&arguments), ..Config::CAN };
         let mut session = with(&fleet, config);
         let outcome = run_on(&mut session, &arguments);
-        // What needs no reply is on its way still.
+        // A command without a reply is still in flight.
         fleet.world.run_for(Duration::from_millis(1));
         (outcome, sent(&log))
     }
@@ -354,7 +355,7 @@ mod tests {
         );
         let channel = Channel::Command(Target::Motor(MotorId::MIN));
         assert_eq!(packets, [Packet { channel, data: C0 }]);
-        // Nobody waits for what is not answered.
+        // A command that has no reply is not waited for.
         let (outcome, packets) = send(&Fleet::new(1), "--id 1 raw C001020304050607 --reply none");
         assert_eq!((outcome, packets), (Ok(()), vec![Packet { channel, data: C0 }]));
     }
@@ -371,7 +372,7 @@ mod tests {
         fleet.world.cut(fleet.drives[0].station());
         let explainer = Explainer::new(Firmware::V4_3);
         let sending = Sending { command: Stop.into(), explainer, json: false };
-        // It has answered a scan, and is cut off then.
+        // It answers a scan, and is cut off then.
         let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())
         else {
             panic!("nobody answers");
@@ -397,7 +398,7 @@ mod tests {
         );
         let (first, rest) = packets.split_first().unwrap();
         assert_eq!((first.data, rest[0].data[0]), (C0, 0x81));
-        // It is asked whether it has errors, and what it runs.
+        // Its errors and its running mode are read.
         let is_expected = |packet: &Packet| [0x81, 0x9C, 0x9A, 0x70].contains(&packet.data[0]);
         assert!(rest[1..].iter().all(is_expected), "{rest:?}");
         // A read is none of those.
@@ -421,7 +422,7 @@ mod tests {
             };
             assert!(is_told("its") || is_told("their"), "{told}");
         }
-        // Nothing is taken back of what moves nothing.
+        // A command that does not move needs no stop.
         let mut session = Session::on(&fleet);
         session.interrupted.store(true, Ordering::Relaxed);
         assert_eq!(run_on(&mut session, &typed("--id 1 read-status1")), Ok(()));
@@ -484,7 +485,7 @@ mod tests {
         let master = CanMaster::new(port, fleet.world.clock(), Config::CAN);
         let master = AnyMaster::SimulatedCan(master);
         let mut session = Session::by(master);
-        // It fills the controller, so that what follows is refused.
+        // It fills the controller, so that later frames are refused.
         let _ = session.master.master().request(MotorId::MIN, ReadStatus1).unwrap();
         session.master.poll().unwrap();
         let arguments: Arguments = typed("--id all shutdown");

@@ -1,4 +1,4 @@
-//! A command's time on a bus: opening it, asking before anything moves, and ending with one sentence.
+//! A bus while a command uses it: opens it, asks before anything moves, and ends with one sentence.
 
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
 use crate::cli::{Outcome, Unfinished, interrupt, outcome, printable, printer, report, unwritten};
 
-/// Whether the user has said yes already.
+/// Whether the user has already said yes.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct Consent {
     /// Do not ask before a motor moves or its memory is written: for scripts.
@@ -44,7 +44,7 @@ pub(super) struct OneMotor {
 }
 
 impl OneMotor {
-    /// Opens its bus to send the motor a command of this kind, which the user is asked about.
+    /// Opens its bus to send the motor a command that needs consent.
     pub(super) fn open_to_send(&self, opcode: Opcode) -> Outcome<Session> {
         let mut session = Session::open_to_change(&self.on, self.consent)?;
         session.look_for_two(self.id, opcode.into())?;
@@ -73,7 +73,7 @@ pub(in crate::cli) struct Motors {
 }
 
 impl Consent {
-    /// Refuses where the user can neither be asked nor has consented.
+    /// Fails if the user has not consented and cannot be asked.
     pub(super) fn check(self, bus: &BusAddress) -> Outcome {
         if self.yes || bus.is_simulated() || io::stdin().is_terminal() {
             return Ok(());
@@ -86,7 +86,7 @@ impl Consent {
 }
 
 impl Unfinished {
-    /// A scan has failed: whom it has asked then need not be there.
+    /// A scan has failed. The motor that it asked last need not exist, so it is not named.
     pub(super) fn of_scan(error: CallError<BusError>) -> Self {
         match error {
             CallError::Failed { failure, .. } => Self::Failed(failure.to_string()),
@@ -129,24 +129,23 @@ pub(super) struct Session {
     pub(super) master: Watched,
     pub(super) address: BusAddress,
     pub(super) yes: bool,
-    /// Set by Ctrl-C and the like, while a motor moves.
+    /// Set by Ctrl-C and the like while a motor moves.
     pub(super) interrupted: Arc<AtomicBool>,
-    /// Set by them, too, also after the motor was stopped for that.
+    /// Set by them, too; cleared when the motor is stopped, so that it shows a second one.
     pub(super) again: Arc<AtomicBool>,
-    /// How often bytes that are no frame were the answers of several motors to a command to all.
+    /// How often garbled bytes were the answers of several motors to a command to all.
     pub(super) garbled_by_all: u32,
 }
 
 impl Session {
-    /// Opens a bus to look at.
+    /// Opens a bus to read from its motors.
     pub(super) fn open(on: &OnBus) -> Outcome<Self> {
         Self::open_on(on.to_look()?)
     }
 
-    /// Opens a bus to stop its motors, which needs no consent. Ctrl-C and the like do not end that: it takes no
-    /// longer than it must.
+    /// Opens a bus to stop its motors. That needs no consent, and Ctrl-C and the like do not end it: it is short.
     pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
-        // Where nothing can be watched for, a stop is a stop all the same.
+        // The stop goes out even if signals cannot be watched for.
         let _ = interrupt::watch();
         Self::open_on(on.to_act()?).map_err(|why| match why {
             Unfinished::Failed(why) => Unfinished::Failed(format!(
@@ -165,7 +164,7 @@ impl Session {
         Ok(session)
     }
 
-    /// The same, with a configuration of the caller's.
+    /// Opens a bus with this configuration.
     pub(super) fn open_with(address: BusAddress, config: Config) -> Result<Self, BusError> {
         let master = AnyMaster::open_with(&address, config)?;
         if let BusAddress::Simulated { motors, kind } = &address {
@@ -190,21 +189,20 @@ impl Session {
         })
     }
 
-    /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
-    /// consented.
+    /// Opens a bus to move its motors or write their memory, if the user has consented or can be asked.
     pub(super) fn open_to_change(on: &OnBus, consent: Consent) -> Outcome<Self> {
         let address = on.to_act()?;
         consent.check(&address)?;
         Ok(Self { yes: consent.yes, ..Self::open_on(address)? })
     }
 
-    /// A session on simulated drives that a test has a hand on.
+    /// A session on simulated drives, for tests.
     #[cfg(test)]
     pub(super) fn on(fleet: &CanFleet) -> Self {
         Self::by(AnyMaster::SimulatedCan(fleet.master()))
     }
 
-    /// A session by this master, for tests.
+    /// A session with this master, for tests.
     #[cfg(test)]
     pub(super) fn by(master: AnyMaster<{ MotorId::COUNT }>) -> Self {
         Self {
@@ -217,12 +215,12 @@ impl Session {
         }
     }
 
-    /// Asks the user, unless there is consent or nothing real would happen.
+    /// Asks the user, unless there is consent or the motors are simulated.
     pub(super) fn confirm(&self, what: &str) -> Outcome {
         if self.yes || self.address.is_simulated() {
             return Ok(());
         }
-        // What was noted about it comes before it.
+        // Notes come before the question.
         let _ = printer::ERR.wait_for(outcome::IN_ORDER);
         let mut ask = io::stderr().lock();
         write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(|error| unwritten(&error))?;
@@ -246,18 +244,20 @@ impl Session {
         let hear = |event| {
             answers_again |= matches!(event, Event::Stray { motor: who, .. } if who == motor);
         };
-        // Meanwhile another motor's answer to that comes.
+        // Meanwhile a second motor would answer the first question.
         let status = self.master.ask_with(motor, ReadStatus1, None, hear);
         status?;
-        // A closer look takes half a second, so not without a reason.
+        // A closer look takes half a second, so it needs a reason.
         Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
     }
 
-    /// Before a command that the user is asked about: looks whether two motors have this id, since both would obey. One
-    /// that does not move is refused then: what one of them answers says nothing of the other, which may drop a load or
-    /// keep what was meant for one. Of one that moves the user is told: both are watched for what they answer, are
-    /// stopped by one stop, and another program that asks the motor looks the same. Nobody looks before 0xB6: reports
-    /// look like a second motor, and it ends them.
+    /// Before a command that needs consent: checks whether two motors have this id, since both would obey.
+    ///
+    /// - A command that does not move is refused then. The answer of one motor says nothing about the other, which may
+    ///   drop a load or store what was meant for one.
+    /// - A command that moves is sent, with a note. The answers of both are watched, and one stop stops both. Another
+    ///   program that asks the motor looks the same.
+    /// - There is no check before 0xB6: it ends reports, which look like a second motor.
     pub(super) fn look_for_two(&mut self, motor: MotorId, kind: Kind) -> Outcome {
         if !needs_consent(kind) || kind == Opcode::ActiveReply.into() {
             return Ok(());
@@ -265,16 +265,16 @@ impl Session {
         if !kind.moves() {
             return self.refuse_shared(motor);
         }
-        // A motor that does not answer is told of by whoever asks next.
+        // If the motor does not answer, the next question reports that.
         if self.is_shared(motor) == Ok(true) {
             report("note", format!("{}. Both will do this", shared(motor)));
         }
         Ok(())
     }
 
-    /// Refuses an id that two motors seem to have, after a close look.
+    /// Fails if two motors seem to have this id, after a closer look.
     fn refuse_shared(&mut self, motor: MotorId) -> Outcome {
-        // Nobody who answers is no motor.
+        // If nothing answers, that is the error.
         self.ask(motor, ReadStatus2)?;
         match bring_up::is_shared(&mut self.master, motor) {
             Ok(false) => Ok(()),
@@ -302,20 +302,20 @@ impl Session {
         }
     }
 
-    /// Reads a motor's state, and refuses one that reports errors.
+    /// Reads a motor's state. Fails if the motor reports errors.
     pub(super) fn ready(&mut self, motor: MotorId) -> Outcome<Status1> {
         let status = self.ask(motor, ReadStatus1)?;
         self.healthy(motor, status.errors)?;
         Ok(status)
     }
 
-    /// From now on Ctrl-C and the like end nothing halfway: they are looked at where something can end.
+    /// From now on Ctrl-C and the like only set flags; the work ends where it looks at them.
     pub(super) fn is_not_left_halfway(&self) -> Outcome {
         interrupt::watch()
             .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))
     }
 
-    /// From now on Ctrl-C and the like end nothing on this bus; they are told at once that they end the program when this
+    /// From now on Ctrl-C and the like end nothing on this bus. A note says at once that they end the program when this
     /// is done.
     pub(super) fn is_finished_first(&mut self) -> Outcome {
         self.is_not_left_halfway()?;
@@ -323,7 +323,7 @@ impl Session {
         Ok(())
     }
 
-    /// Refuses a motor that turns.
+    /// Fails if the motor turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
         if bring_up::turns(speed) {
@@ -334,7 +334,7 @@ impl Session {
     }
 }
 
-/// That two motors seem to have this id.
+/// Says that two motors seem to have this id.
 pub(super) fn shared(id: MotorId) -> String {
     format!("two motors seem to have id {id}: connect only one of them")
 }
@@ -350,7 +350,7 @@ mod tests {
     use super::super::simulated::sent;
     use super::*;
 
-    /// What is told of what is sent to motor 1 of these, and whether anything was.
+    /// The outcome of a check before this command to motor 1, and whether anything was sent.
     fn look(fleet: &Fleet, kind: impl Into<Kind>) -> (Outcome, bool) {
         let fleet = fleet.on_can(1_000_000).unwrap();
         let log = fleet.world.log();
@@ -379,7 +379,7 @@ mod tests {
         {
             assert_eq!(look(&two, kind), (Ok(()), true), "{kind}");
         }
-        // What reads or ends motion waits for nothing, nor does what ends that one motor looks like two.
+        // No check before commands that read or end motion, nor before the one that ends reports.
         for kind in [ReadPid, ReadStatus1, Stop, Shutdown, LockBrake, ActiveReply] {
             assert_eq!(look(&two, kind), (Ok(()), false), "{kind}");
         }
@@ -397,7 +397,7 @@ mod tests {
         assert!(told.starts_with("two motors seem to have id 1: connect only one"), "{told}");
     }
 
-    /// A motor that tells about its errors by itself (function 3) is told to be restarted for them.
+    /// A motor that reports its errors on its own (function 3) has to be restarted for them.
     #[test]
     fn a_motor_that_reports_its_errors_is_not_refused() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();

@@ -1,4 +1,4 @@
-//! Simulated drives under a subcommand, for its tests.
+//! Simulated drives for tests of subcommands.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,7 @@ use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
 use super::session::Session;
 
-/// A session on these drives by a master of this configuration, with the user's consent.
+/// A session on these drives, with this configuration and the user's consent.
 pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
     let master = CanMaster::new(fleet.world.port(), fleet.world.clock(), config);
     Session::by(AnyMaster::SimulatedCan(master))
@@ -33,14 +33,14 @@ pub(super) fn turning(fleet: &CanFleet) -> Session {
     session
 }
 
-/// The arguments of a subcommand, typed like this.
+/// The arguments of a subcommand from this line.
 pub(super) fn typed<A: clap::Args>(line: &str) -> A {
     let words = ["typed"].into_iter().chain(line.split(' '));
     let matches = A::augment_args(clap::Command::new("typed")).get_matches_from(words);
     A::from_arg_matches(&matches).unwrap()
 }
 
-/// What masters have sent, and what is on the channel of bus ids.
+/// The packets of masters, and those on the channel of bus ids.
 pub(super) fn sent(log: &Log<SimpleFrame>) -> Vec<Packet> {
     let records = log.take();
     let packets = records.iter().filter_map(|record| match &record.event {
@@ -63,11 +63,11 @@ pub(super) fn to_first(data: Data) -> Packet {
 /// When another program sends its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sends {
-    /// Again and again, so long after each other.
+    /// Repeatedly, at this interval.
     Every(Duration),
-    /// Every 10 ms, and once more after it has heard that the motor was stopped (0x81).
+    /// Every 10 ms, and once more after it has heard the stop (0x81).
     UntilStopped,
-    /// Once, so long after the start.
+    /// Once, this long after the start.
     Once(Duration),
 }
 

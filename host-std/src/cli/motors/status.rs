@@ -1,4 +1,4 @@
-//! `myactuator info`: what motors are. `myactuator status`: how they do.
+//! `myactuator info`: what motors are. `myactuator status`: their present state.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
@@ -47,14 +47,14 @@ fn how_it_does(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let phases = session.ask(motor, ReadStatus3)?;
     let state = session.ask(motor, ReadStatus1)?;
     let angle = session.ask(motor, ReadMultiTurnAngle)?;
-    // The finer angle takes the place of the feedback's, and status 1 has the temperature too.
+    // The finer angle replaces the feedback's, and status 1 also has the temperature.
     let moves =
         Group::default().and(&angle).and_but(&feedback, &["angle", "temperature"]).and_mode(&mode);
     let phases = Group::default().and_but(&phases, &["temperature"]);
     Ok(vec![moves, phases, Group::default().and(&state)])
 }
 
-/// Reads each motor that is meant, and tells it in groups of fields: a line each, or one object.
+/// Reads each motor that is meant, and prints its groups of fields: a line each, or one object.
 fn print_each(
     arguments: &Arguments,
     read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Group>>,
@@ -70,7 +70,7 @@ fn print_each(
                     say(&format!("  {group}"))?;
                 }
             }
-            // The others are told all the same.
+            // The other motors are still read.
             Err(Unfinished::Failed(sentence)) => {
                 report("error", sentence);
                 outcome = Err(Unfinished::FailedAndReported);

@@ -1,4 +1,4 @@
-//! `myactuator timeout`: the motor's own protection against a master that falls silent.
+//! `myactuator timeout`: the motor's own communication-loss protection.
 
 use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
@@ -8,7 +8,7 @@ use super::help::SIGNALS;
 use super::session::{OneMotor, say};
 use crate::cli::{Outcome, arguments as parse, report};
 
-/// Below this it is shorter than this program may take to speak to a motor.
+/// Below this time, a motor may hear nothing from this program for longer.
 const SHORT_MS: u32 = 50;
 
 /// Set after how long without a command a motor cuts its output on its own (0xB3)
@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     say(&sentence(motor, time, told))
 }
 
-/// Tells of a time that this program may not keep itself.
+/// Prints a note about a time that is short for this program itself.
 fn note_short(time: Milliseconds) {
     if (1..SHORT_MS).contains(&time.raw()) {
         report(

@@ -1,4 +1,4 @@
-//! One command to several motors at the same time: it takes as long as the slowest.
+//! One command to several motors at the same time. It takes as long as the slowest motor.
 
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
@@ -10,23 +10,23 @@ use myactuator_protocol_core::master::{Failure, MotorSet, Patience, Ticket};
 use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT};
 use super::session::Session;
 
-/// What came of it.
+/// The results.
 pub(super) struct Together<R> {
-    /// Of each motor, in their order: its reply, or why there is none.
+    /// For each motor, in order: its reply, or why there is none.
     pub(super) outcomes: Vec<(MotorId, Result<R, String>)>,
-    /// The last error of the bus, which keeps nobody else from being asked.
+    /// The last error of the bus. The other motors are still asked.
     pub(super) failure: Option<BusError>,
 }
 
 struct Asked<C: Command> {
     motor: MotorId,
-    /// Once it could be put.
+    /// `None` until the request was accepted.
     ticket: Option<Ticket<C>>,
     outcome: Option<Result<C::Reply, String>>,
 }
 
 impl Session {
-    /// Sends this to each of these motors. A bus that fails is tried again, for [`LONGEST_OUTAGE`].
+    /// Sends this to each of these motors. Retries on a bus that fails, for [`LONGEST_OUTAGE`].
     pub(super) fn ask_each<C: Command + Copy>(
         &mut self,
         motors: MotorSet,
@@ -43,7 +43,7 @@ impl Session {
             for asked in asked.iter_mut().filter(is_open).filter(|asked| asked.ticket.is_none()) {
                 match self.put(asked.motor, command, patience) {
                     Ok(ticket) => asked.ticket = Some(ticket),
-                    // An earlier question to it is under way.
+                    // An earlier request to it is in flight.
                     Err(RequestError::Busy) if waited < LONGEST_TURN => {}
                     Err(error) => asked.outcome = Some(Err(error.to_string())),
                 }
@@ -60,7 +60,7 @@ impl Session {
                         asked.outcome = Some(Err(Failure::BusDown.to_string()));
                     });
                 }
-                // One refused frame must not keep the others from hearing theirs.
+                // One refused frame must not hold up those of the others.
                 idle => {
                     failure = idle.err().or(failure);
                     let soon = self.master.now() + LONGEST_WAIT;

@@ -1,4 +1,4 @@
-//! `myactuator zero`: the present position becomes the zero, and stays it.
+//! `myactuator zero`: makes the present position the zero, for good.
 
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
@@ -35,7 +35,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     say(&make(&mut session, motor)?)
 }
 
-/// Makes it, and tells the zero.
+/// Makes the zero, and returns it in words.
 fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.is_finished_first()?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use myactuator_host_std::serve::Claim;
 use rustix::fs::{FlockOperation, flock};
 
-/// Where drives keep their settings. One simulation at a time has it.
+/// The folder of the drives' settings. One simulation at a time can use it.
 #[derive(Debug)]
 pub(super) struct MemoryFolder {
     path: PathBuf,
@@ -30,7 +30,7 @@ impl MemoryFolder {
         Ok(Self { path: path.to_owned(), _folder: folder })
     }
 
-    /// The part of the drives on this bus.
+    /// The subfolder for the drives on this bus.
     pub(super) fn of(&self, bus: &str) -> Result<PathBuf, String> {
         let path = self.path.join(bus);
         make(&path)?;
@@ -52,7 +52,7 @@ fn fails(folder: &Path, error: &io::Error) -> String {
     format!("cannot use the folder {}: {error}", folder.display())
 }
 
-/// Links to pseudo-terminals, each one simulation's alone. They go with this.
+/// Links to pseudo-terminals. Each belongs to one simulation. They are removed on drop.
 #[derive(Debug)]
 pub(super) struct Links {
     folder: Option<PathBuf>,
@@ -67,14 +67,14 @@ struct Link {
 }
 
 impl Links {
-    /// Will make links in this folder, and makes it if need be; none without.
+    /// Makes the folder if need be. Without a folder no links are made.
     pub(super) fn in_folder(folder: Option<&Path>) -> Result<Self, String> {
         folder.map_or(Ok(()), make)?;
         Ok(Self { folder: folder.map(Path::to_owned), made: Vec::new() })
     }
 
-    /// Makes a link of this name if links are wanted, in place of a former run's. One that another
-    /// simulation has is left alone.
+    /// Makes a link of this name if links are wanted. Replaces a link of an earlier run, but not one that another
+    /// simulation has.
     pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
         let Some(folder) = &self.folder else { return Ok(None) };
         let link = folder.join(name);
@@ -123,7 +123,7 @@ mod tests {
         second.add("slcan", Path::new("/dev/zero")).unwrap();
         drop(first);
         assert!(fs::symlink_metadata(&link).is_err());
-        // What a killed one has left.
+        // The link that a killed simulation has left.
         symlink("/dev/full", &link).unwrap();
         second.add("rs485", Path::new("/dev/zero")).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/zero"));

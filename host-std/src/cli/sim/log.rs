@@ -1,4 +1,4 @@
-//! Prints what happens in drives: for people beside the output, as JSON in it.
+//! Prints what happens in drives: for people to standard error, as JSON to standard output.
 
 use myactuator_host_std::sim::LogRecord;
 use serde_json::json;
@@ -6,10 +6,10 @@ use serde_json::json;
 use crate::cli::printable;
 use crate::cli::printer::{self, Printer};
 
-/// So many lines may wait for whoever reads; those that come then are left out.
+/// How many lines may wait for the reader; later ones are left out.
 const ROOM: usize = 1_000;
 
-/// Never waits for whoever reads: the drives go on.
+/// Never waits for the reader, so that the drives go on.
 pub(super) struct LogPrinter {
     is_json: bool,
     stream: &'static Printer,
@@ -32,7 +32,7 @@ impl LogPrinter {
     }
 
     fn offer(&self, line: &str) -> bool {
-        // Whoever reads may leave; the drives stay.
+        // The reader may leave; the drives go on.
         self.stream.offer(format!("{}\n", printable(line)), ROOM).unwrap_or(true)
     }
 }

@@ -1,4 +1,4 @@
-//! Turns options into what they mean, or into a sentence.
+//! Turns options into their values, or into a sentence about what is allowed.
 
 use myactuator_host_std::Unexpected;
 use myactuator_host_std::sim::plant::MotorParameters;
@@ -6,10 +6,10 @@ use myactuator_host_std::sim::{self, Adapter};
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::time::Duration;
 
-/// The RS485 adapter's quirks: it hands back what is sent, without noise or with it.
+/// The RS485 adapter's quirks: it echoes what is sent, without or with noise.
 const ECHO: &str = "echo";
 const ECHO_NOISE: &str = "echo-noise";
-/// The quirk of all adapters, and how often those with FTDI's chips hand over what they hear.
+/// The quirk of all adapters, and how often those with FTDI's chips hand over what they receive.
 const BURSTS: &str = "bursts";
 const USUAL_BURSTS: Duration = Duration::from_millis(16);
 
@@ -32,7 +32,7 @@ pub(super) fn drives_quirks(quirks: &[String]) -> Result<Quirks, Unexpected> {
     sim::quirks_named(quirks.iter().filter(|name| !OF_ADAPTERS.contains(&name.as_str())))
 }
 
-/// The adapter that they make.
+/// The adapter with these quirks.
 pub(super) fn adapter(quirks: &[String]) -> Adapter {
     if has(quirks, ECHO_NOISE) {
         Adapter::EchoNoise
@@ -43,7 +43,7 @@ pub(super) fn adapter(quirks: &[String]) -> Adapter {
     }
 }
 
-/// How often adapters hand over what they hear; zero for at once.
+/// How often adapters hand over what they receive; zero for at once.
 pub(super) fn bursts(quirks: &[String]) -> Duration {
     if has(quirks, BURSTS) { USUAL_BURSTS } else { Duration::ZERO }
 }

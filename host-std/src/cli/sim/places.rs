@@ -1,4 +1,4 @@
-//! Says where drives are served.
+//! Prints where drives are served.
 
 use std::path::PathBuf;
 
@@ -10,9 +10,9 @@ use serde_json::{Value, json};
 /// A place where drives are served.
 #[derive(Debug)]
 pub(super) struct Place {
-    /// What the bus is called.
+    /// The name of the bus.
     name: String,
-    /// As other subcommands take it.
+    /// For --bus of other subcommands.
     address: BusAddress,
     path: Option<PathBuf>,
     link: Option<PathBuf>,
@@ -88,8 +88,8 @@ impl Place {
     }
 }
 
-/// What is reported. The buses of a file are named; those of the short form are known by their kinds. In lock-step
-/// nobody is invited to try them: what waits for an answer there waits for time.
+/// The lines to print. The buses of a file are named; without a file their kinds tell them apart. In lock-step there is
+/// no line to try: a program that waits for an answer would wait for time.
 pub(super) fn lines(
     places: &[Place],
     is_file: bool,

@@ -1,4 +1,4 @@
-//! Serves buses until it is told to stop.
+//! Serves buses until a signal ends it.
 
 use std::error::Error;
 use std::io;
@@ -30,7 +30,7 @@ pub(super) struct Served {
 }
 
 pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Failure> {
-    // First of all, so that no signal finds half a simulation.
+    // This comes first, so that no signal ends half a simulation.
     let stop = stop_signal()?;
     let is_file = arguments.robot.is_some();
     let memory = arguments.memory.as_deref().map(MemoryFolder::open).transpose()?;
@@ -52,7 +52,7 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
     let lines = places::lines(&places, is_file, in_lock_step, arguments.json);
     for line in control.into_iter().chain(lines) {
         match print_line(&line) {
-            // Whoever reads may leave; the drives stay.
+            // The reader may leave; the drives go on.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
             printed => printed?,
         }
@@ -118,7 +118,7 @@ fn serve_can(
     Ok(places)
 }
 
-/// Why a bus is not served on an interface. One that does not exist need not be real.
+/// Why a bus is not served on an interface. If it does not exist, says how to make a virtual one.
 fn not_on_interface(error: &ServeError) -> String {
     let ServeError::Interface(PortError::NoSuchInterface { name, there }) = error else {
         return error.to_string();
@@ -130,8 +130,7 @@ fn not_on_interface(error: &ServeError) -> String {
     )
 }
 
-/// Something that can be read as soon as the program is told to stop. Who tells it twice means at
-/// once.
+/// A stream that becomes readable when a signal asks the program to stop. A second signal ends it at once.
 fn stop_signal() -> io::Result<UnixStream> {
     let (told, tell) = UnixStream::pair()?;
     let is_told = interrupt::flag();

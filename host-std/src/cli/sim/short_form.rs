@@ -8,7 +8,7 @@ use super::serving::Served;
 use super::{Arguments, Way, options};
 use crate::cli::arguments as parse;
 
-/// The buses that are asked for.
+/// The buses that the arguments ask for.
 pub(super) fn buses(arguments: &Arguments) -> Result<Vec<Served>, String> {
     check(arguments)?;
     let fleet = fleet(arguments)?;

@@ -1,8 +1,8 @@
-//! Answers of a simulation for people.
+//! Prints answers of a simulation for people.
 
 use serde_json::Value;
 
-/// When it was, and a line a motor where motors are told of.
+/// The time, and a line for each motor in the answer.
 pub(super) fn lines(answer: &Value) -> Vec<String> {
     let seconds = answer["at_us"].as_f64().unwrap_or_default() / 1e6;
     let mut lines = vec![format!("at {seconds:.6} s")];
