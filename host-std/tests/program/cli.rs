@@ -47,7 +47,7 @@ fn same_fields(told: &Value, expected: &Value) -> bool {
     let (Some(told), Some(expected)) = (told.as_object(), expected.as_object()) else {
         return false;
     };
-    // Where one of a code's name and number is expected, the other may stand beside it.
+    // If a code's name or its number is expected, the other may stand beside it.
     let has_number = |key: &str| expected.contains_key(&format!("{key}_raw"));
     let has_value = |key: &str| {
         let name = key.strip_suffix("_raw");
@@ -58,7 +58,7 @@ fn same_fields(told: &Value, expected: &Value) -> bool {
         && told.keys().map(String::as_str).all(is_known)
 }
 
-/// Decodes rows of one direction at once, and compares all but the direction.
+/// Decodes rows of one direction in one run, and compares all but the direction.
 fn decode_rows(rows: &[Value], arguments: &[&str]) -> Vec<Value> {
     let input: Vec<&str> = rows.iter().map(|row| string(row, "frame")).collect();
     let output = run_on(input.join("\n"), &[&["decode", "--json"], arguments].concat());
@@ -106,7 +106,7 @@ fn frames_that_are_easily_misread_are_read_right() {
         assert_eq!(read, reading, "{frame}");
         assert!(told["canonical"].is_string(), "{told}");
     }
-    // The identifier says who answers, whatever the first byte says (5.4).
+    // The identifier says which motor answers, whatever the first byte says (5.4).
     let told = &objects(&run(&["decode", "--json", "501#02E66682EB550000"]))[0];
     assert_eq!((&told["id"], &told["fields"]["id_byte"]), (&1.into(), &2.into()));
     let output = run(&["decode", "141#C001020304050607"]);
@@ -126,8 +126,7 @@ fn every_example_of_the_manual_is_explained() {
             assert_eq!(told["direction"], direction, "{row}");
             assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
         }
-        // Without being told, it is right or leaves the direction open: never where a CAN identifier
-        // settles it.
+        // Without --direction the answer is right or open, and never open if a CAN identifier decides it.
         for (told, row) in decode_rows(&rows, &["--bus", bus]).iter().zip(&rows) {
             let is_open = told["direction"] == "either";
             let may_be_open = bus == "rs485" || string(row, "frame").starts_with("300#");
@@ -212,7 +211,7 @@ fn codes_have_names_and_flags_may_be_short() {
         assert_eq!(text(&output.stderr), "", "{arguments}");
         assert_eq!(lines(&output), [frame], "{arguments}");
     }
-    // Bus and id may stand behind the command; the bus id names no motor anyway.
+    // Bus and id may stand after the command; bus-id names no motor.
     assert_eq!(lines(&run(&["encode", "stop", "--id", "32"])), ["160#8100000000000000"]);
     let read = run(&["encode", "bus-id", "--access", "read"]);
     assert_eq!(lines(&read), ["300#7900010000000000"]);
@@ -277,7 +276,7 @@ fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
         let words: Vec<&str> = ["encode"].into_iter().chain(arguments.split(' ')).collect();
         assert_eq!(refusal(&words), sentence, "{arguments}");
     }
-    // What the parser refuses by itself, is one sentence too.
+    // A refusal of the parser is one sentence, too.
     for (arguments, part) in [
         (vec!["encode", "--id", "1", "speeed"], "'speeed'"),
         (vec!["encode", "--id", "1", "absolute-position", "--angle", "1"], "--max-speed-dps"),
@@ -355,7 +354,7 @@ fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
             [None, can0, stop],
             [Some("0000000012.000345"), vcan1, stop],
             [Some("2015-07-10 06:57:32.249713"), can0, stop],
-            // What is no frame of a motor has them as well.
+            // Lines that are not frames of a motor have them, too.
             [Some("1436509052.249713123"), can0, Some("141#F1")],
             [Some("1436509052.249713"), can0, Some("141##1A4")],
             [
@@ -363,7 +362,7 @@ fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
                 can0,
                 Some("20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME")
             ],
-            // A line that no tool writes is told as it is.
+            // A line that no tool writes is printed as it is.
             [None, None, Some("(1436509052.249713) can0 nonsense")],
         ]
     );
@@ -375,10 +374,10 @@ fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
     assert_eq!(told[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
 }
 
-/// What is read may not steer the terminal that it is shown on.
+/// Input must not control the terminal that shows it.
 #[test]
 fn control_characters_are_shown_not_sent() {
-    // Escape, bell, delete, and U+009B, which begins a sequence as escape does.
+    // Escape, bell, delete, and U+009B, which starts a sequence as escape does.
     let line = "\u{1b}[31m\u{7}\u{7f}\u{9b}é";
     let shown = r"\u001b[31m\u0007\u007f\u009bé";
     let output = run_on(line, &["decode"]);

@@ -1,8 +1,8 @@
-//! The demonstration runs to its end on both buses and tells what it promises.
+//! The demonstration runs to its end on both buses and prints what it promises.
 
 use crate::run::{run_words, text};
 
-/// What it tells, the same in every run.
+/// Its output, the same in every run.
 fn demo(bus: &str) -> String {
     let demo = || run_words(&format!("demo --bus {bus}"));
     let output = demo();

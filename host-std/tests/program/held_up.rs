@@ -1,4 +1,4 @@
-//! A motor is stopped in time although nobody reads what is printed, and whatever signal comes.
+//! A motor is stopped in time even if nobody reads the output, and whatever signal comes.
 
 use std::io::{self, Read as _, Write as _};
 use std::os::fd::AsFd as _;
@@ -17,7 +17,7 @@ use crate::sim_serve::{PATIENCE, done_at};
 /// How fast the motor turns.
 const DPS: f64 = 90.0;
 
-/// `speed` on this bus, for so long.
+/// `speed` on this bus, for this time.
 fn speed(bus: &str, for_s: &str) -> Command {
     let mut command = myactuator();
     command.args(["speed", "--yes", "--bus", bus, "--id", "1", "--speed-dps", &DPS.to_string()]);
@@ -36,7 +36,7 @@ pub(crate) fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     (reader, writer)
 }
 
-/// Waits until it does something about that, which takes longer on a busy machine, or has ended.
+/// Waits until the process catches this signal, or has ended. That takes longer on a busy machine.
 fn wait_until_it_catches(process: &mut Child, signal: Signal) {
     let status = format!("/proc/{}/status", process.id());
     let catches = || {
@@ -47,7 +47,7 @@ fn wait_until_it_catches(process: &mut Child, signal: Signal) {
     assert!(comes(|| process.try_wait().unwrap().is_some() || catches()));
 }
 
-/// Sends it, unless it has ended.
+/// Sends the signal, unless the process has ended.
 fn signal(process: &mut Child, signal: Signal) {
     wait_until_it_catches(process, signal);
     if process.try_wait().unwrap().is_none() {
@@ -55,7 +55,7 @@ fn signal(process: &mut Child, signal: Signal) {
     }
 }
 
-/// Waits until this is so, and says whether it came to that. How long that takes is the machine's affair.
+/// Waits until this is so, and returns whether it came to that. A busy machine may take long.
 fn comes(mut is_so: impl FnMut() -> bool) -> bool {
     let start = Instant::now();
     while !is_so() {
@@ -67,7 +67,7 @@ fn comes(mut is_so: impl FnMut() -> bool) -> bool {
     true
 }
 
-/// How it ends: it must do so soon.
+/// How the process ends; it must end soon.
 fn ends_soon(process: &mut Child) -> ExitStatus {
     let is_over = comes(|| process.try_wait().unwrap().is_some());
     if !is_over {
@@ -78,7 +78,7 @@ fn ends_soon(process: &mut Child) -> ExitStatus {
     ended
 }
 
-/// The same, with what it says of errors, which is no more than a pipe holds.
+/// The same, with its standard error, which must fit in a pipe.
 fn ends_saying(process: &mut Child) -> (ExitStatus, String) {
     let ended = ends_soon(process);
     let mut told = String::new();
@@ -86,17 +86,17 @@ fn ends_saying(process: &mut Child) -> (ExitStatus, String) {
     (ended, told)
 }
 
-/// Whether that ended it, so that a shell ends its loop, too.
+/// Whether this signal ended it, so that a shell ends its loop, too.
 fn died_of(signal: Signal, ended: ExitStatus) -> bool {
     ended.signal() == Some(signal.as_raw())
 }
 
-/// Of a motor that did not answer, and of others: what is said of it nobody can read here.
+/// Whether it has failed: perhaps a motor did not answer. The error cannot be read here.
 fn has_failed(ended: &ExitStatus) -> bool {
     ended.code() == Some(1)
 }
 
-/// How its one bus is, and the motor on it, by the simulation's own account: that takes nothing of the bus.
+/// The state of the one bus and its motor, from the simulation itself, which costs no time on the bus.
 fn state(socket: &str) -> Value {
     let told = control(socket, &["--json", "state"]);
     let mut state: Value = serde_json::from_str(&told).unwrap();
@@ -111,7 +111,7 @@ fn stands(socket: &str) -> bool {
     state(socket)["motors"][0]["speed_dps"].as_f64().unwrap().abs() < 0.5
 }
 
-/// Waits until it turns as it was told, or this has ended.
+/// Waits until the motor turns, or the process has ended.
 fn wait_until_it_turns(socket: &str, process: &mut Child) {
     let turns = || state(socket)["motors"][0]["speed_dps"].as_f64().unwrap() > 0.5 * DPS;
     comes(|| turns() || process.try_wait().unwrap().is_some());
@@ -128,14 +128,14 @@ fn a_full_pipe_lets_the_motor_stop_in_time() {
         let mut process = process.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
         comes(|| angle(socket) > 0.2 * DPS || process.try_wait().unwrap().is_some());
         assert!(comes(|| stands(socket)));
-        // It waits with its result until somebody reads, or it is told to end.
+        // The process keeps its result until it is read, or until a signal comes.
         assert!(process.try_wait().unwrap().is_none());
         signal(&mut process, Signal::TERM);
         ends_saying(&mut process)
     };
     let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
     assert!(died_of(Signal::TERM, ended), "{ended}: {told}");
-    // Whether a second is one is seen in virtual time; on a busy machine it takes longer.
+    // Tests in virtual time check the second itself; a busy machine takes longer.
     let angle = angle(socket);
     assert!((0.5 * DPS..3.0 * DPS).contains(&angle) && stands(socket), "{angle} deg");
 }
@@ -152,7 +152,7 @@ fn a_motor_that_was_sent_off_stops_when_it_is_told_to_end_before_the_reply_is_pr
         send.args(["--speed-dps", &DPS.to_string()]).stdin(Stdio::null());
         let mut process = send.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
         wait_until_it_turns(socket, &mut process);
-        // It has the reply, and waits with it.
+        // The process has the reply, and waits to print it.
         sleep(Duration::from_millis(300));
         signal(&mut process, Signal::INT);
         ends_saying(&mut process)
@@ -204,11 +204,11 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
     for (kind, dies_of, code) in [
         (Signal::TERM, Some(Signal::TERM), none),
         (Signal::HUP, Some(Signal::HUP), none),
-        // The other keys end a shell's loop, too. It is not halted while it keeps the bus.
+        // The other keys end a shell's loop, too. The process is not halted, since it keeps the bus.
         (Signal::QUIT, Some(int), none),
         (Signal::TSTP, Some(int), none),
         (Signal::TTOU, Some(int), none),
-        // One that may be ignored elsewhere.
+        // A signal that may be ignored elsewhere.
         (Signal::IO, None, Some(128 + 29)),
     ] {
         let attempt = || {
@@ -241,7 +241,7 @@ fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
         turn.args(["speed", "--yes", "--bus", bus, "--id", "1", "--speed-dps", "540"]);
         turn.args(["--for-s", "1"]).stdin(Stdio::null()).stdout(Stdio::null());
         let mut process = turn.stderr(Stdio::piped()).spawn().unwrap();
-        // Of which a second at that speed is the lesser part.
+        // A second at full speed is the smaller part of that.
         comes(|| angle(socket) > 900.0 || process.try_wait().unwrap().is_some());
         signal(&mut process, Signal::INT);
         let ended = process.wait_with_output().unwrap();
@@ -256,7 +256,7 @@ fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
     assert!(stands(socket));
 }
 
-/// How it ends where Ctrl-C is pressed once this is so, or it has ended already.
+/// Presses Ctrl-C once this is so, unless the process has ended. Returns how it ended.
 fn interrupted(command: &mut Command, mut is_so: impl FnMut() -> bool) -> Output {
     let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut process = command.spawn().unwrap();
@@ -270,7 +270,7 @@ fn a_stop_goes_on_although_ctrl_c_is_pressed() {
     let (_folder, path, simulation) = controlled_on("rs485", 1);
     let socket = path.to_str().unwrap();
     let mut stop = myactuator();
-    // It goes on trying for a second: nobody has this id.
+    // It retries for a second: no motor has this id.
     stop.args(["stop", "--id", "7", "--bus", simulation.bus("rs485")]);
     let ended = interrupted(&mut stop, || state(socket)["traffic"]["frames"] != 0);
     let told = text(&ended.stderr);
@@ -283,7 +283,7 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
     let (_folder, path, simulation) = controlled_with("rs485", 1, &["--quirk", "slow-boot"]);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("rs485");
-    // A zero that is stored counts from the next start on, as an id does: the motor restarts for that, for a second.
+    // A stored zero, like an id, takes effect at the next start: the motor restarts for that, which takes a second.
     let restarts = || state(socket)["motors"][0]["running"] == false;
     assert!(comes(|| !restarts()));
     let attempt = |what: &[&str]| {
@@ -297,14 +297,14 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
         let ended = unless_late(|| attempt(what), |it| tells_of_silence(text(&it.stderr)));
         let (told, errors) = (text(&ended.stdout), text(&ended.stderr));
         assert!(told.contains(done), "{}: {told}{errors}", ended.status);
-        // Nobody waits for that without a word, and a loop of a shell does not go on to the next motor.
+        // The user is told why it goes on, and a shell's loop does not go on to the next motor.
         let why = "note: interrupted: this command is finished first, so that nothing is left half written\n";
         assert_eq!(errors, why, "{what:?}: {} {told}", ended.status);
         assert!(died_of(Signal::INT, ended.status), "{what:?}: {}", ended.status);
     }
 }
 
-/// It once gave up then, for the bus had carried nothing for so long.
+/// It once gave up then, because the bus had carried nothing for that time.
 #[test]
 fn a_stop_that_was_suspended_goes_on_with_it() {
     let (_folder, path, simulation) = controlled(1);
@@ -318,13 +318,13 @@ fn a_stop_that_was_suspended_goes_on_with_it() {
             let begun = Instant::now();
             let mut process = stop.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
             wait_until_it_catches(&mut process, Signal::INT);
-            // It has found that nobody answers, and waits for that.
+            // It has found that no motor answers, and retries.
             sleep(Duration::from_millis(300));
             kill_process(Pid::from_child(&process), Signal::STOP).unwrap();
             if begun.elapsed() < Duration::from_secs(1) {
                 return Some(process);
             }
-            // It may have given up before that, as it may after a second.
+            // It may have given up before: it may after a second.
             process.kill().unwrap();
             process.wait().unwrap();
             None

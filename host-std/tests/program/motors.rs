@@ -8,14 +8,14 @@ use crate::run::{myactuator, rows, run_words, text};
 
 const SIMULATED: &str = "simulated drives: ";
 
-/// Runs it on simulated motors unless it names a bus.
+/// Runs this on simulated motors unless it names a bus.
 fn run_simulated(arguments: &str) -> Output {
     let mut program = myactuator();
     program.env("MYACTUATOR_BUS", "sim").args(arguments.split_whitespace());
     program.stdin(Stdio::null()).output().unwrap()
 }
 
-/// What it printed; it must have done what was asked, and said that the drives are simulated.
+/// The output of this; it must succeed, and say that the drives are simulated.
 fn done(arguments: &str) -> Vec<String> {
     let output = run_simulated(arguments);
     let errors = text(&output.stderr);
@@ -29,7 +29,7 @@ fn objects(arguments: &str) -> Vec<Value> {
     done(arguments).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// The one sentence with which it ended, and the exit status.
+/// The exit status of this, and its one error.
 fn refused(arguments: &str) -> (i32, String) {
     let output = run_simulated(arguments);
     let errors = text(&output.stderr);
@@ -186,7 +186,7 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
         "{end}"
     );
     assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
-    // Others than its firmware's would multiply the torque.
+    // Scales other than its firmware's would multiply the torque.
     let (status, told) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));
     assert!(status == 1 && told.contains("has scales of its own"), "{status}: {told}");
     assert_eq!(refused(&format!("{motion} --ranges v4.3")).0, 2);
@@ -195,7 +195,7 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
     assert_eq!((status, told.as_str()), (2, "--bus: motion exists on CAN only"));
 }
 
-/// Commands, and what is answered.
+/// Commands, and their output.
 const ANSWERS: &str = "
 --id 2 read-multi-turn-angle => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
 --id 2 raw 92 0 0 0 0 0 0 0 => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
@@ -250,7 +250,7 @@ fn stop_and_shutdown_reach_one_or_all() {
     assert_eq!(told, doubt);
 }
 
-/// What is told beside the output when this is sent.
+/// The standard error when this is sent.
 fn told_beside(command: &str) -> String {
     let output = run_simulated(&format!("send --yes --json {command}"));
     assert_eq!(output.status.code(), Some(0), "{command}");

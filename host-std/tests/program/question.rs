@@ -10,7 +10,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 use crate::run::{myactuator, tells_of_silence, text, unless_late};
 use crate::sim_control::{control, controlled};
 
-/// A terminal: where somebody types, and where that is read.
+/// A terminal: the end to type on, and the end that is read.
 pub(crate) fn terminal() -> (File, OwnedFd) {
     let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
     let keys = openpt(flags).unwrap();
@@ -20,7 +20,7 @@ pub(crate) fn terminal() -> (File, OwnedFd) {
     (keys.into(), program)
 }
 
-/// The program once it asks, with where the answer is typed and what it asks.
+/// Runs the program until it asks. Returns it, the end to type the answer on, and the question.
 fn asked(arguments: &str) -> (Child, File, String) {
     let (keys, stdin) = terminal();
     let mut program = myactuator();
@@ -43,7 +43,7 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
     let motion = "motion --id 1 --position-rad 0 --kp 40 --kd 2 --firmware v4.3 --for-s 0.2";
     let beyond =
         "error: motor 1 is at 1800 deg (31.42 rad), and motion mode reaches from -12.5 to 12.5 rad";
-    // Nobody is asked in vain.
+    // The user is not asked about a move that would be refused.
     control(socket, &["angle", "--id", "1", "1800"]);
     let (process, _keys, told) = asked(&format!("{motion} --bus {bus}"));
     assert!(told.starts_with(beyond), "{told}");

@@ -1,4 +1,4 @@
-//! What the README shows of an example and of the program is what they are and print.
+//! What the README shows of the examples and of the output of the program is true.
 
 use crate::run::{lines, run_words};
 

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::question::terminal;
 
-/// Every example frame of the manual, as data with the fields that the text beside it tells.
+/// Every example frame of the manual as data, with the fields that the text beside it describes.
 const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
 
 pub(crate) fn myactuator() -> Command {
@@ -25,9 +25,9 @@ pub(crate) fn run(arguments: &[&str]) -> Output {
     myactuator().args(arguments).stdin(Stdio::null()).output().unwrap()
 }
 
-/// Does this again, a few times at the most, where a program has given a motor up and the machine is to blame: programs
-/// wait for an answer for a tenth of a second, and a busy machine may keep one from them for longer. A machine on which
-/// a byte goes through a pseudo-terminal at once all the while is not busy.
+/// Repeats this, a few times at most, if a program has given up on a motor because the machine is busy: programs wait a
+/// tenth of a second for an answer, and a busy machine may take longer. The machine is not busy if a byte always goes
+/// through a pseudo-terminal at once.
 pub(crate) fn unless_late<T>(
     mut attempt: impl FnMut() -> T,
     has_given_up: impl Fn(&T) -> bool,
@@ -36,7 +36,7 @@ pub(crate) fn unless_late<T>(
         let is_over = AtomicBool::new(false);
         let (outcome, is_late) = thread::scope(|scope| {
             let watching = scope.spawn(|| is_late_until(&is_over));
-            // Whoever fails ends the watch, too.
+            // A failed test ends the watch, too.
             let ends = Ends(&is_over);
             let outcome = attempt();
             drop(ends);
@@ -49,7 +49,7 @@ pub(crate) fn unless_late<T>(
     attempt()
 }
 
-/// Whether the machine is late with anything until this is over.
+/// Whether the machine is late at any time until this is over.
 fn is_late_until(is_over: &AtomicBool) -> bool {
     const A_MOMENT: Duration = Duration::from_millis(1);
     const LATE: Duration = Duration::from_millis(20);
@@ -80,7 +80,7 @@ pub(crate) fn tells_of_silence(told: &str) -> bool {
     silence.iter().any(|words| told.contains(words))
 }
 
-/// As [`run`], with arguments that hold no spaces.
+/// As [`run`], with arguments without spaces.
 pub(crate) fn run_words(arguments: &str) -> Output {
     run(&arguments.split_whitespace().collect::<Vec<_>>())
 }
@@ -104,7 +104,7 @@ pub(crate) fn vectors(bus: &str) -> Vec<Value> {
     rows.into_iter().filter(|row| row["bus"] == bus).collect()
 }
 
-/// Rows of a table that is written as text: what is put in, an arrow, and what is to come out.
+/// Rows of a table in text: the input, an arrow, and the expected output.
 pub(crate) fn rows(table: &str) -> impl Iterator<Item = (&str, &str)> {
     let rows = table.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     rows.map(|row| row.split_once(" => ").unwrap_or_else(|| panic!("no arrow in {row:?}")))

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use crate::run::{myactuator, run, text};
 use crate::sim_serve::{Simulation, run_at};
 
-/// A simulation of so many motors that is controlled by this socket, and the folder that this is in.
+/// A simulation of this many motors, its control socket, and the folder of the socket.
 pub(crate) fn controlled(motors: u8) -> (TempDir, PathBuf, Simulation) {
     controlled_on("slcan", motors)
 }
@@ -20,7 +20,7 @@ pub(crate) fn controlled_on(kind: &str, motors: u8) -> (TempDir, PathBuf, Simula
     controlled_with(kind, motors, &[])
 }
 
-/// The same with these options, too.
+/// The same with more options.
 pub(crate) fn controlled_with(
     kind: &str,
     motors: u8,
@@ -34,7 +34,7 @@ pub(crate) fn controlled_with(
     (folder, path, simulation)
 }
 
-/// What `sim-control` prints; it must have done what was asked.
+/// The output of `sim-control`, which must succeed.
 pub(crate) fn control(socket: &str, arguments: &[&str]) -> String {
     let output = run(&[&["sim-control", socket], arguments].concat());
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
@@ -59,13 +59,13 @@ fn drives_are_looked_at_and_changed_while_they_run() {
     let angle_deg = state["ok"]["buses"][0]["motors"][0]["angle_deg"].as_f64().unwrap();
     assert!((angle_deg - 123.0).abs() < 1e-9, "{angle_deg}");
     assert!(control(socket, &["state"]).contains("  motor 2: 123.00 deg, 0.0 dps"));
-    // A drive with a cut cable is there, and does not answer.
+    // A drive with a cut cable does not answer.
     control(socket, &["fault", "cut@1"]);
     let (_, scan) = run_at(bus, &["scan"]);
     assert!(scan.contains("motor 2:") && !scan.contains("motor 1:"), "{scan}");
     control(socket, &["fault", "mend"]);
 
-    // The same socket is nobody else's.
+    // No other simulation can have the same socket.
     let second = run(&["sim", "--control", socket]);
     assert_eq!(second.status.code(), Some(1));
     assert!(text(&second.stderr).contains("another simulation has the control socket"));

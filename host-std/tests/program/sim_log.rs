@@ -1,4 +1,4 @@
-//! The log of `myactuator sim`: what drives refuse is told, and who does not read it holds nothing up.
+//! The log of `myactuator sim`: it has what drives refuse, and holds nothing up if it is not read.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Stdio};
@@ -11,7 +11,7 @@ use crate::held_up::full_pipe;
 use crate::run::myactuator;
 use crate::sim_serve::{alone, done_at, prefer};
 
-/// Ends with its owner, also if a test has failed.
+/// Ends with its owner, even if a test fails.
 struct Ended(Child, #[expect(dead_code, reason = "kept until then")] MutexGuard<'static, ()>);
 
 impl Drop for Ended {
@@ -51,7 +51,7 @@ fn the_log_says_what_a_drive_did_not_do_and_why_as_json() {
     assert!(told["text"].as_str().unwrap().contains("its brake is locked"), "{told}");
 }
 
-/// Where it tells people that it serves.
+/// The bus that it prints for people.
 fn told_bus(simulation: &mut Ended) -> String {
     let lines = BufReader::new(simulation.0.stdout.take().unwrap()).lines();
     let mut buses = lines.filter_map(|line| Some(line.unwrap().split_once("--bus ")?.1.to_owned()));

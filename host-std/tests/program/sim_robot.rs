@@ -74,7 +74,7 @@ fn each_bus_of_a_file_is_served_with_its_motors_under_its_name() {
     let status = |name, id| done_at(bus(name), &["status", "--id", id]);
     let arm = status("arm", "2");
     assert!(arm.contains("angle 30 deg") && arm.contains("no error"), "{arm}");
-    // A fault strikes on its bus alone, though the other has a motor with that id too.
+    // A fault acts on its own bus only, although the other has a motor with this id, too.
     assert!(status("arm", "4").contains("encoder data wrong"), "{}", status("arm", "4"));
     let leg = status("leg", "4");
     assert!(leg.contains("angle 0 deg") && leg.contains("no error"), "{leg}");
@@ -144,14 +144,14 @@ fn what_a_file_says_is_not_said_beside_it_and_what_is_wrong_in_it_is_told() {
     }
     let wrong = written(folder.path(), &ROBOT.replace("id = 4", "id = 40"));
     refused(&[&wrong], 2, "robot.toml, line 23: motor id must be 1 to 32, but 40 was given");
-    // Where there is no such interface nothing is served, and the bus is named.
+    // If there is no such interface nothing is served, and the error names the bus.
     let nowhere = ROBOT.replace("name = \"leg\"", "name = \"leg\"\ninterface = \"no-such-can\"");
     let nowhere = written(folder.path(), &nowhere);
     let expected = "error: bus \"leg\": there is no CAN interface \"no-such-can\" to serve it on";
     refused(&[&nowhere], 1, expected);
     let made = "make a virtual one with 'sudo ip link add dev no-such-can type vcan' and";
     refused(&[&nowhere], 1, made);
-    // What the library simulates, an adapter may not have.
+    // The library simulates this, but no adapter has it.
     let odd = written(folder.path(), &ROBOT.replace("500_000", "400_000"));
     refused(&[&odd], 1, "bus \"arm\": bit_rate: expected a bit rate that SLCAN adapters know");
     refused(&["nothing.toml"], 2, "the robot's file \"nothing.toml\" cannot be read");

@@ -1,4 +1,4 @@
-//! `myactuator sim`, started and used as other programs do it: by its pseudo-terminals.
+//! `myactuator sim`, used as other programs use it: through its pseudo-terminals.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -28,16 +28,16 @@ use crate::run::{myactuator, run, tells_of_silence, text, unless_late};
 /// Longer than anything takes on a busy machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-/// They keep real time, so that several at once on a busy machine would miss it.
+/// Simulations keep real time. Several at once on a busy machine would fall behind.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// Waits until no other simulation runs; none does while this is kept.
+/// Waits until no other simulation runs. None starts while the guard is kept.
 pub(crate) fn alone() -> MutexGuard<'static, ()> {
     ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Has a simulation go before other processes where that is allowed: programs give a motor up that does not answer
-/// within a tenth of a second, and a busy machine may keep it from that for longer.
+/// Gives a simulation priority over other processes if that is allowed. Programs give up on a motor that does not
+/// answer within a tenth of a second, and a busy machine may take longer.
 pub(crate) fn prefer(simulation: &Child) {
     let _ = setpriority_process(Some(Pid::from_child(simulation)), -15);
 }
@@ -45,13 +45,13 @@ pub(crate) fn prefer(simulation: &Child) {
 /// A simulation in a process of its own.
 pub(crate) struct Simulation {
     process: Child,
-    /// What it told, by kind.
+    /// What it printed, by kind.
     places: Vec<Value>,
     _alone: MutexGuard<'static, ()>,
 }
 
 impl Simulation {
-    /// Starts one that serves in so many ways.
+    /// Starts one that serves in this many ways.
     pub(crate) fn start(ways: usize, arguments: &[&str]) -> Self {
         let alone = alone();
         let process = myactuator()
@@ -72,7 +72,7 @@ impl Simulation {
         simulation
     }
 
-    /// What it told of the bus of this name.
+    /// What it printed about the bus of this name.
     pub(crate) fn named(&self, name: &str) -> &Value {
         self.places.iter().find(|place| place["name"] == name).unwrap()
     }
@@ -95,12 +95,12 @@ impl Simulation {
         port
     }
 
-    /// Sends a signal, and gives how it ended and what it complained of.
+    /// Sends a signal. Returns how it ended and its errors.
     pub(crate) fn end(mut self, signal: Signal) -> (ExitStatus, String) {
         kill_process(Pid::from_child(&self.process), signal).unwrap();
         let mut told = String::new();
         self.process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
-        // A machine that is busy with other things is no fault.
+        // A busy machine is not an error.
         let told = told.lines().filter(|line| !line.contains("time stood still"));
         let told = told.map(|line| format!("{line}\n")).collect();
         (self.process.wait().unwrap(), told)
@@ -129,7 +129,7 @@ fn frame(command: impl Into<AnyCommand>) -> [u8; 13] {
     Frame::from_packet(&packet).unwrap().encode()
 }
 
-/// The next answer, of a drive with this firmware.
+/// The next reply, from a drive with this firmware.
 fn answer(port: &SerialPort, firmware: Firmware) -> AnyReply {
     let bytes: [u8; 13] = read_exactly(port);
     let frame = Frame::decode(&bytes).unwrap_or_else(|fault| panic!("{bytes:02X?}: {fault}"));
@@ -141,7 +141,7 @@ fn ask(port: &SerialPort, command: impl Into<AnyCommand>) -> AnyReply {
     answer(port, Firmware::V4_3)
 }
 
-/// What a search at all bit rates says, of each motor the beginning.
+/// The output of a search at all bit rates; of each motor only the beginning.
 fn scan_once_at_all_rates(bus: &str) -> Vec<String> {
     let output = run(&["scan", "--all-rates", "--bus", bus]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
@@ -149,7 +149,7 @@ fn scan_once_at_all_rates(bus: &str) -> Vec<String> {
     lines.map(str::to_owned).collect()
 }
 
-/// Whether less is told of a motor than there is: a line ends before its model otherwise.
+/// Whether the line of a motor is incomplete, because the motor did not answer everything.
 fn is_short(lines: &[String]) -> bool {
     lines.iter().any(|line| line.starts_with("motor") && !line.ends_with(':'))
 }
@@ -159,7 +159,7 @@ fn scan_at_all_rates(bus: &str) -> Vec<String> {
     unless_late(|| scan_once_at_all_rates(bus), |lines| is_short(lines))
 }
 
-/// 2.32: motor 2 is set to another rate, and has it from the next run on.
+/// 2.32: motor 2 is set to another rate, which takes effect with the next run.
 #[test]
 fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
     let folder = tempfile::tempdir().unwrap();
@@ -241,7 +241,7 @@ fn programs_need_not_set_anything_on_the_port() {
     let simulation = Simulation::start(1, &["--only", "rs485"]);
     let path = simulation.place("rs485")["path"].as_str().unwrap();
     let mut port = File::options().read(true).write(true).open(path).unwrap();
-    // 2.33.4. A terminal that is not raw would hand it back and wait for the end of a line.
+    // 2.33.4. A terminal that is not raw would echo it and wait for the end of a line.
     port.write_all(b"\x3E\x01\x08\xB5\0\0\0\0\0\0\0\x30\x42").unwrap();
     let limit = Timespec::try_from(PATIENCE).unwrap();
     let answered = poll(&mut [PollFd::new(&port, PollFlags::IN)], Some(&limit)).unwrap();
@@ -249,7 +249,7 @@ fn programs_need_not_set_anything_on_the_port() {
     let mut reply = [0; 13];
     port.read_exact(&mut reply).unwrap();
     assert_eq!(&reply[..11], b"\x3E\x01\x08\xB5X6-60\0\0");
-    // Nothing was handed back before it.
+    // Nothing was echoed before it.
     let at_once = Timespec::default();
     assert_eq!(poll(&mut [PollFd::new(&port, PollFlags::IN)], Some(&at_once)).unwrap(), 0);
     drop(port);
@@ -260,7 +260,7 @@ pub(crate) fn ended_well() -> (ExitStatus, String) {
     (ExitStatus::default(), String::new())
 }
 
-/// What the adapter says up to the next CR or BEL.
+/// The answer of the adapter up to the next CR or BEL.
 fn line(port: &SerialPort) -> String {
     let mut line = String::new();
     loop {
@@ -314,8 +314,8 @@ fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
     let options = ["--quirk", "echo-noise", "--count", "3", "--link", links.to_str().unwrap()];
     let simulation = Simulation::start(2, &options);
     let motors: MotorSet = MotorId::all().take(3).collect();
-    // Programs come and go. An adapter's last answers to one may reach one that comes at once, so there
-    // is one here, as on real adapters.
+    // Programs come and go. The last answers to one may reach the next if it comes at once. So a single program asks
+    // here, as on real adapters.
     for kind in ["rs485", "rs485", "slcan"] {
         let place = simulation.place(kind);
         assert_eq!(place["motors"], serde_json::json!([1, 2, 3]));
@@ -341,7 +341,7 @@ fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
     assert_eq!(std::fs::read_dir(links).unwrap().count(), 0);
 }
 
-/// Runs the program on a bus, and gives its exit status and what it printed.
+/// Runs the program on a bus. Returns its exit status and its output.
 pub(crate) fn run_at(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
     let attempt = || {
         let output = run(&[arguments, &["--bus", bus]].concat());
@@ -351,14 +351,14 @@ pub(crate) fn run_at(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
     unless_late(attempt, |(_, told)| tells_of_silence(told))
 }
 
-/// What it printed; it must have done what was asked.
+/// The output of the program, which must succeed.
 pub(crate) fn done_at(bus: &str, arguments: &[&str]) -> String {
     let (status, told) = run_at(bus, arguments);
     assert_eq!(status, Some(0), "{told}");
     told
 }
 
-/// What `status` tells of motor 1.
+/// A value that `status` reports of motor 1.
 fn state(bus: &str, key: &str) -> f64 {
     let told = done_at(bus, &["status", "--json", "--id", "1"]);
     let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
@@ -429,10 +429,10 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     let (status, told) = run_at(bus, &["id", "--id", "1", "--new-id", "7", "--yes"]);
     assert_eq!(status, Some(1), "{told}");
     assert!(told.contains("two motors seem to have id 1"), "{told}");
-    // Now and then two equal answers become one frame.
+    // Sometimes two equal answers become one frame.
     let is_told = |_| run_at(bus, &["scan"]).1.contains("note: two motors seem to have id 1");
     assert!((0..3).any(is_told));
-    // Nor is anything else written to them, nor are their shafts let go.
+    // Nothing else is written to them either, and their shafts are not let go.
     let changes = [
         "zero",
         "timeout --time-ms 1000",
@@ -447,7 +447,7 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
         assert_eq!(status, Some(1), "{change}: {told}");
         assert!(told.contains("error: two motors seem to have id 1"), "{change}: {told}");
     }
-    // What moves them is not refused, and takes no closer look than costs nothing.
+    // Commands that move are not refused, and get only a check that costs no time.
     let turn = ["speed", "--id", "1", "--speed-dps", "5", "--for-s", "0.1", "--yes"];
     let both = "note: two motors seem to have id 1: connect only one of them. Both will do this";
     assert!((0..3).any(|_| run_at(bus, &turn).1.contains(both)));
@@ -485,7 +485,7 @@ fn the_firmware_is_the_one_asked_for() {
     assert_eq!(Firmware::of_version_date(told.version_date), Some(Firmware::V4_4));
 }
 
-/// Exit status and what is said on standard error.
+/// The exit status and the standard error.
 fn refused(arguments: &[&str]) -> (Option<i32>, String) {
     let output = run(&[&["sim"], arguments].concat());
     assert_eq!(output.stdout, b"");
@@ -535,7 +535,7 @@ fn the_programs_own_subcommands_work_on_both_pseudo_terminals() {
         let told = done_at(bus, &["scan"]);
         assert!(told.contains("motor 1:") && told.contains("motor 2:"), "{told}");
 
-        // Nobody is there to be asked, so motion needs --yes.
+        // There is no terminal to ask on, so motion needs --yes.
         let to_20 = ["move", "--id", "1", "--angle-deg", "20", "--max-speed-dps", "360"];
         assert_eq!(run_at(bus, &to_20).0, Some(2));
         done_at(bus, &[&to_20[..], &["--yes"]].concat());
