@@ -77,8 +77,8 @@ Quirks: behaviour of real drives that differs from the manual
   brake-told-by-motion      0x9A says release only while the drive obeys a motion command
   silent-while-reporting    nothing at all is answered while active reply (0xB6) is on
   broadcast-slots           answers to all (RS485, 0xCD) come one after the other
-  slow-rom                  replies to commands that store something come 15 ms later (an estimate)
-  bursts                    adapters hand over what they receive every 16 ms, as many USB adapters do
+  slow-rom                  replies to commands that store come 15 ms later (an estimate)
+  bursts                    adapters hand over what they receive every 16 ms, as many on USB do
   echo                      the RS485 adapter echoes what is sent
   echo-noise                the same, with a random byte now and then";
 

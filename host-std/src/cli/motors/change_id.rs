@@ -48,7 +48,7 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     }
     session.standing(from)?;
     session.confirm(&format!(
-        "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it. Its whole turns may be lost."
+        "Motor {from} will be switched off, store id {to} in its ROM, and restart: hold the shaft if a load pulls at it. Its whole turns may be lost."
     ))?;
     change(session, from, to)?;
     say(&format!("motor {from} is motor {to} now"))

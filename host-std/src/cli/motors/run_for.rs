@@ -191,7 +191,7 @@ fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome 
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
-        "motor {motor} has restarted on the way: its run time (0xB1) was {} and is now {}; check its supply, and the \
+        "motor {motor} has restarted during the run: its run time (0xB1) was {} and is now {}; check its supply, and the \
          angle that it reports",
         ran.run_time, runs.run_time
     )))
@@ -497,7 +497,7 @@ mod tests {
         fleet.world.run_for(Duration::from_secs(1));
         let outcome = run_to_end(&mut Session::on(&fleet), command, (1.0, false, end), || {});
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{at}: {outcome:?}") };
-        assert!(told.starts_with("motor 1 has restarted on the way: "), "{at}: {told}");
+        assert!(told.starts_with("motor 1 has restarted during the run: "), "{at}: {told}");
         told
     }
 

@@ -26,8 +26,8 @@ const CAN_RATES: [Rate; 2] = [Rate::Mbit1, Rate::Kbit500];
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,
-    /// Try every bit rate that motors can have, on RS485 and SLCAN. On a CAN bus a wrong rate
-    /// disturbs all others: let no motor run meanwhile.
+    /// Try every bit rate that motors can have, on RS485 and SLCAN. On a CAN bus a wrong rate disturbs all traffic: let
+    /// no motor run meanwhile.
     #[arg(long)]
     all_rates: bool,
     /// Print one JSON object a motor, with a note if two seem to have its id.
