@@ -13,9 +13,9 @@ use super::{Outcome, Unfinished, names, print_line};
 
 /// Explain frames: one line each for people, or with --json one object a line
 ///
-/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On RS485 it is bytes,
-/// hexadecimal or decimal, separated by commas, spaces or nothing; they may hold several frames and noise. An input that
-/// cannot be read counts as wrong usage; the others are explained all the same.
+/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On RS485 it is
+/// bytes, hexadecimal or decimal, separated by commas, spaces or nothing; they may hold several frames and noise. An
+/// input that cannot be read counts as wrong usage; the others are explained all the same.
 ///
 /// Exit status: 0 every frame decoded, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]

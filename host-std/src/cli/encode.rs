@@ -10,7 +10,8 @@ use super::{Outcome, names, print_line};
 
 /// Print the frame of a command; nothing is sent
 ///
-/// A CAN frame is printed as candump and cansend write it, 141#A400F401A08C0000; an RS485 frame as bytes in hexadecimal.
+/// A CAN frame is printed as candump and cansend write it, 141#A400F401A08C0000; an RS485 frame as bytes in
+/// hexadecimal.
 ///
 /// Exit status: 0 printed, 2 wrong usage.
 #[derive(Debug, clap::Args)]

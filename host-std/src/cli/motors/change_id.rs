@@ -11,13 +11,13 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Give a motor another id
 ///
-/// If the motor has a brake that is open, it is locked (0x78). The motor is switched off (0x80), stores the id in its ROM
-/// and restarts. The id is set by function 5 (0x20), which names the motor. If the motor does not acknowledge that and is
-/// the only one on the bus, the id is set by 0x79, which all motors obey. Ctrl-C ends this program when the change is
-/// finished.
+/// If the motor has a brake that is open, it is locked (0x78). The motor is switched off (0x80), stores the id in its
+/// ROM and restarts. The id is set by function 5 (0x20), which names the motor. If the motor does not acknowledge that
+/// and is the only one on the bus, the id is set by 0x79, which all motors obey. Ctrl-C ends this program when the
+/// change is finished.
 ///
-/// Whole turns are lost with the restart unless multi-turn saving (function 4) is on. A motor that turns is refused: stop
-/// it first. So are two motors with the same id: connect only one of them.
+/// Whole turns are lost with the restart unless multi-turn saving (function 4) is on. A motor that turns is refused:
+/// stop it first. So are two motors with the same id: connect only one of them.
 ///
 /// Exit status: 0 answers under the new id, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]

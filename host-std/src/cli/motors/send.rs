@@ -21,14 +21,15 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
 /// Send one command to a motor or to all, and explain what is answered
 ///
-/// The command is one of the table, by its name, or eight bytes of your own. A command to all is one frame that all hear.
+/// The command is one of the table, by its name, or eight bytes of your own. A command to all is one frame that all
+/// hear.
 ///
-/// A command that sets a motor in motion leaves it moving: 'myactuator stop' ends that. If such a command is not answered,
-/// or Ctrl-C is pressed, the motor is stopped (0x81).
+/// A command that sets a motor in motion leaves it moving: 'myactuator stop' ends that. If such a command is not
+/// answered, or Ctrl-C is pressed, the motor is stopped (0x81).
 ///
-/// If two motors seem to have the id, or no motor answers, a command that writes memory, restarts a motor, lets its shaft
-/// go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for commands
-/// that only read or end motion, for 0xB6, and for all motors.
+/// If two motors seem to have the id, or no motor answers, a command that writes memory, restarts a motor, lets its
+/// shaft go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for
+/// commands that only read or end motion, for 0xB6, and for all motors.
 ///
 /// Exit status: 0 sent, and answered by each motor that had to, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]

@@ -17,8 +17,8 @@ const SHORT_MS: u32 = 50;
 /// time in its ROM. Ctrl-C ends this program when the motor has acknowledged.
 ///
 /// A motor that holds its position lets go, too, when it hears nothing for that time; a brake locks then. While this
-/// program moves a motor it sends every 10 to 20 ms, and less often on a busy machine: below 50 ms the protection may end
-/// a movement. Two motors with the same id are refused.
+/// program moves a motor it sends every 10 to 20 ms, and less often on a busy machine: below 50 ms the protection may
+/// end a movement. Two motors with the same id are refused.
 ///
 /// Exit status: 0 acknowledged, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
