@@ -10,7 +10,7 @@ enum State {
     Released { at: Instant, by_request: bool },
 }
 
-/// A brake moves some time after its command. In each command `at` is when it has moved, if it begins now.
+/// A brake moves some time after its command. The `at` of each command is when it has moved, if it begins now.
 #[derive(Clone, Debug)]
 pub(super) struct Brake {
     fitted: bool,

@@ -105,8 +105,8 @@
 //!   a scale is the scale's end.
 //! - 0x70 knows three modes (2.25.3). Motion mode sets a current, so it is the current loop. A motor that stops is in
 //!   the speed loop, one that holds in the position loop. If no loop runs the byte is 0: 0x80 "clears the running
-//!   state" and leaves "no closed-loop mode" (2.17.1), and any of the three modes would say of a motor that is off that
-//!   it runs.
+//!   state" and leaves "no closed-loop mode" (2.17.1), and any of the three modes would report a motor that is off as
+//!   running.
 //!
 //! # Gains
 //! The manual names seven gains and does not say what they do (2.1.4). Here there are three nested loops, in the units
@@ -147,7 +147,7 @@
 //! | calibration parameters | the memory fails | with 0x76 |
 //! | over-speed | the speed is beyond its limit | when it is back |
 //! | over-temperatures | the motor or the output stage is too hot | when it has cooled down |
-//! | encoder calibration | never by itself | when it is taken away |
+//! | encoder calibration | never on its own | when it is taken away |
 //! | encoder data | the encoder's data cannot be trusted | with 0x76 |
 //!
 //! - The limits are [`FaultLimits`](super::FaultLimits); the manual gives no numbers (8.2). Any

@@ -107,8 +107,8 @@ impl Encoder {
         Angle::from_raw(if steps > 18_000 { steps - 36_000 } else { steps })
     }
 
-    /// 0x90: position, raw and offset within a turn of the motor shaft; of an encoder with more than 16 bits, the upper
-    /// 16.
+    /// 0x90: position, raw and offset within a turn of the motor shaft. Of an encoder with more than 16 bits these are
+    /// the upper 16.
     pub(super) fn single_turn(&self) -> [SingleTurnPulses; 3] {
         let too_many_bits = self.motor_turn.ilog2().saturating_sub(u16::BITS);
         [self.position(), self.raw(), self.offset].map(|pulses| {

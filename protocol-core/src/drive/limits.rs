@@ -57,7 +57,7 @@ const ALL: [Option<Limit>; 5] = [
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
     told: Option<Limit>,
-    /// For how long each of [`ALL`] has acted, since it is another one than was reported.
+    /// For how long each of [`ALL`] has acted since the reported one last did.
     acted: [Duration; ALL.len()],
 }
 
@@ -127,7 +127,7 @@ mod tests {
         Step { wanted_a: 1.0, flows_a: 1.0, limit_a: 12.0, largest_a: 12.0, stall_a: 12.0 };
     const STALL: Step = Step { wanted_a: -12.0, flows_a: -12.0, ..FREE };
 
-    /// What is reported in so many steps of 1 ms, and when.
+    /// What is reported in this many steps of 1 ms, and when.
     fn told(limits: &mut Limits, step: Option<Step>, millis: u32) -> Option<(u32, Option<Limit>)> {
         let span = Duration::from_millis(1);
         let told = (1..=millis).map(|at| (at, limits.observe(step, span)));

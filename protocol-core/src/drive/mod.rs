@@ -390,7 +390,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         (self.outgoing.dropped(), self.events.dropped())
     }
 
-    /// Measures at once, not only at the next control step, because somebody has changed the [plant](Self::plant_mut).
+    /// Measures at once, and not only at the next control step: for use after a change of the
+    /// [plant](Self::plant_mut).
     pub fn measure(&mut self) {
         self.act(&Actuation::default(), Duration::ZERO);
     }

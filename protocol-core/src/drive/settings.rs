@@ -32,11 +32,12 @@ impl Gains {
     /// the control rate: 1000 rad/s suits 10 kHz.
     ///
     /// A drive does not know its load. A load makes the speed loop slower by as much as the inertia grows, but not the
-    /// loops around it. So those are far slower: with `B` the bandwidth, `P` the position loop's gain, `I` the speed
-    /// loop's integral gain over its proportional gain and `n` the growth, the loops' polynomial is `n·s³ + B·s² + B·(P
-    /// + I)·s + B·P·I`. It is stable as long as `n < B·(P + I) / (P·I)`: 240 times.
+    /// loops around it. So those are far slower. With `B` the bandwidth, `P` the position loop's gain, `I` the speed
+    /// loop's integral gain over its proportional gain and `n` the growth, the loops' polynomial is
+    /// `n·s³ + B·s² + B·(P + I)·s + B·P·I`. It is stable as long as `n < B·(P + I) / (P·I)`: 240 times.
     ///
-    /// If an argument is not a positive number, all gains are 0 and the motor does not move.
+    /// If an argument is not a positive number, the gains of the speed loop are 0, and no speed or position command
+    /// moves the motor.
     pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
         let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
         let gain = |x: f32| Gain::new(x).unwrap_or(Gain::ZERO);
