@@ -54,8 +54,8 @@ pub(super) struct Broadcast {
     /// A command that may move was sent, or motors were found that have no place. A stop of all must reach motors that
     /// were not named.
     pub(super) may_be_unnamed: bool,
-    /// CAN: a move was sent since these motors ended their motion, and they have not answered it. It may be in a
-    /// mailbox, also through cuts that went unnoticed.
+    /// CAN: a command that may move was sent since these motors ended their motion, and they have not answered it. It
+    /// may still be in a mailbox, even after cuts that went unnoticed.
     moved_since: MotorSet,
     /// Until when what was sent may still reach a drive, and be answered.
     pub(super) on_its_way: OnItsWay,
@@ -415,8 +415,8 @@ impl<const N: usize> Master<N> {
     /// [`RequestError`], and nothing is sent, in these cases:
     ///
     /// - The command has no form for all motors, or none on this bus.
-    /// - Another broadcast is under way. So is one that ends motion and goes once more because a controller has handed
-    ///   it back.
+    /// - Another broadcast is under way. That includes one that ends motion, was already reported as over, and goes
+    ///   once more because a controller has handed it back.
     /// - The motors were stopped.
     /// - It moves motors, and one has [restarted](Event::Restarted) or there is no place for all of `expected`.
     pub fn broadcast<C: Command>(

@@ -23,7 +23,7 @@ pub enum Bus {
         /// status (0x9A), and take a frame that equals the command for its echo:
         ///
         /// - The first attempt of a stop does not wait for that read. It is then confirmed by the next attempt.
-        /// - A motor that is not there costs two time-outs.
+        /// - A motor that is not there is waited for twice: for the read, and for the command.
         /// - A command that is sent only once, because it writes to ROM, counts as not answered if the read was lost.
         ///
         /// See [`EchoFilter`](crate::io::EchoFilter).
@@ -56,10 +56,10 @@ pub struct Config {
     /// For a command that is sent only once because it writes to ROM, it is at least 20 ms: the write takes long, and
     /// only its reply shows that it was done.
     pub reply_timeout: Duration,
-    /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two. They start
-    /// with this. So an adapter that holds replies back needs no configuration, and a fast bus stays fast.
-    /// `late_window` and `longest_response` grow and shrink by the same amount. A [`Patience`] is not changed. See
-    /// [`adapting_up_to`](Self::adapting_up_to).
+    /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two. Until
+    /// something was measured they are as long as this. So an adapter that holds replies back needs no configuration,
+    /// and a fast bus stays fast. `late_window` and `longest_response` grow and shrink by the same amount. A
+    /// [`Patience`] is not changed. See [`adapting_up_to`](Self::adapting_up_to).
     pub longest_reply_timeout: Duration,
     /// How often a request is sent at most if repeating it is harmless, 1 to 15.
     pub attempts: u8,

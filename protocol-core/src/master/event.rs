@@ -219,13 +219,13 @@ pub enum Event {
     ///   not be asked three times because the bus took nothing. This is reported when its answer does not come or when
     ///   it is to be moved next, and once more when it is heard again.
     /// - Its answer to a read of its run time (0xB1) is too short: shorter than the time since it was first heard, or
-    ///   than its last answer and the time since. The difference must be more than 250 ms and 1/64 of the answer, since
-    ///   clocks differ. This does not apply if the motor is known for 48 days, or to answers to a command to all. The
-    ///   run time starts anew after 49.7 days, which is taken for a restart if it was not read since the motor was
-    ///   first heard or reported to have restarted.
+    ///   than its last answer and the time since. The difference must be more than 250 ms plus 1/64 of the answer,
+    ///   since clocks differ. This does not apply if the motor has been known for 48 days, or to answers to a command
+    ///   to all. The run time starts anew after 49.7 days, which is taken for a restart if it was not read since the
+    ///   motor was first heard or reported to have restarted.
     /// - Its stream's feedback reports a position that is more than half a turn beyond what 10,000 degrees/s could have
-    ///   turned since its last feedback within 18 ms of a set-point. In motion mode: an eighth of the scale beyond 500
-    ///   steps of it per millisecond. Feedback that answers requests shows nothing.
+    ///   turned since the last feedback that came within 18 ms of its set-point. In motion mode: an eighth of the scale
+    ///   beyond 500 steps of it per millisecond. Feedback that answers requests shows nothing.
     ///
     /// Only the last two signs show that a motor lost its supply for less than a second, **or for longer while it was
     /// not asked anything, for example when an emergency stop cut the power**: read its run time after each silence,

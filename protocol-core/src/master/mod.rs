@@ -1,5 +1,5 @@
-//! The master as a state machine. It keeps as many requests in flight as the bus carries, and takes no answer for that
-//! to another question.
+//! The master as a state machine. It keeps as many requests in flight as the bus carries, and never takes an answer for
+//! the answer to another question.
 //!
 //! - [`Master::request`] sends one motor a request and returns a [`Ticket`], which recognizes the answer.
 //! - [`Master::set_point`] streams set-points: only the newest of each motor is kept.
@@ -79,9 +79,11 @@
 //! - Any echo that comes more than 100 ms after its sending, although the port was found empty in between.
 //!
 //! ## A restart is not noticed, or seen where there was none
-//! No frame announces a restart. It shows by one of these signs, and is not noticed without them:
+//! No frame announces a restart. It shows by one of these signs (see [`Event::Restarted`]), and is not noticed without
+//! them:
 //!
-//! - Nothing is heard of the motor for a second, and a command in that time is not answered.
+//! - Nothing is heard of the motor for a second, and then a command is not answered, or a move is to be sent after one
+//!   that was not answered.
 //! - Its run time (0xB1), when it is read, is shorter than it must be.
 //! - Its angle jumps under a stream. At thousands of degrees a second, feedback that comes later and later may look
 //!   like such a jump.
@@ -232,7 +234,7 @@ pub struct Master<const N: usize> {
     last_ticket: u32,
     /// The time of the last call that gave it.
     now: Instant,
-    /// No motor has anything to do because of the time before this.
+    /// Until then the time alone gives no motor anything to do.
     due: Instant,
     /// CAN: until when the frames that were sent keep the bus busy, or when one was last received. RS485: when the line
     /// may be used again.

@@ -32,7 +32,8 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Takes a reply from the RS485 line, but no echo: see [`EchoFilter`](crate::io::EchoFilter).
+    /// Takes a reply from the RS485 line. An echo is no reply, and must not be passed: see
+    /// [`EchoFilter`](crate::io::EchoFilter).
     pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
         let before = self.busy_until;
         self.free_line_after_turnaround(now);

@@ -25,9 +25,9 @@ pub(super) enum Purpose {
     Once,
     /// A stop: sent before everything else, whatever is in flight.
     Stop,
-    /// A repeated stop: the one before it is over, and nothing was sent since that a stop would refuse. On RS485 every
-    /// second turn goes to others. On CAN it waits for motors that were sent no more than its own and may be waiting to
-    /// answer.
+    /// A stop that was called again: the equal one before it is over or was sent as often as it may be, and nothing was
+    /// sent since that a stop would refuse. On RS485 every second turn goes to others. On CAN it waits for motors that
+    /// were sent no more commands than its own and may be waiting to answer.
     StopCalledAgain,
     /// A stop that was given up and is sent once more.
     StopAgain,
@@ -201,7 +201,8 @@ impl<const N: usize> Master<N> {
     /// [`RequestError`] in these cases:
     ///
     /// - The command does not go to one motor, or not over this bus.
-    /// - The motor's earlier request is under way, or the motor follows a stream of this kind.
+    /// - The motor's earlier request is under way, or the motor follows a stream of this kind, or reports this unasked
+    ///   (0xB6).
     /// - The motors were stopped.
     /// - The command moves a motor that has [restarted](crate::master::Event::Restarted).
     /// - There is no place for one more motor.
@@ -294,8 +295,8 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
-    /// The caller no longer waits for the outcome of this request. If a stop would refuse the command (a move, a restart, a
-    /// write to ROM), it must not be sent, or sent again, at any later time:
+    /// The caller no longer waits for the outcome of this request. If a stop would refuse the command (a move, a
+    /// restart, a write to ROM), it must not be sent, or sent again, at any later time:
     ///
     /// - If it waits, it fails with [`Failure::Dropped`].
     /// - If it is on the wire, or in a controller's mailbox, it is not called back. It is carried out, its answer still

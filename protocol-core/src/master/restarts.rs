@@ -7,7 +7,7 @@ use crate::master::motor::LastSent;
 impl<const N: usize> Master<N> {
     /// The caller has found out that a motor has restarted, for example by its angle, and the master has not. This has
     /// the effect of [`Event::Restarted`](crate::master::Event::Restarted), which is also reported. A motor without a
-    /// place gets one. If none is left, no command can move it anyway.
+    /// place gets one. If none is left, no request or set-point for it is accepted anyway.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
         self.offer = None;

@@ -41,7 +41,7 @@ impl<const N: usize> Master<N> {
         self.choose_motor(now)
     }
 
-    /// RS485: if all stops that may go, and the last frame sent, are repeated stops, something else goes first: a
+    /// RS485: if all stops that may go, and the last frame sent, were called again, something else goes first: a
     /// broadcast that is due, or the motor that was sent nothing for longest. Otherwise a caller that stops a motor in
     /// every cycle would keep all others off the line. Rounds do not help here: the stops are ahead.
     #[inline(never)]
@@ -99,9 +99,10 @@ impl<const N: usize> Master<N> {
         })
     }
 
-    /// CAN: whether a repeated stop of this motor waits. It waits for a command to all, and for motors that were sent
-    /// no more than this one and may be waiting to answer. Otherwise a caller that stops it in every cycle would fill
-    /// the bus, or the broadcast or another motor's stop would be handed back again and again.
+    /// CAN: whether this motor's stop, which was called again, waits. It waits for a command to all, and for motors
+    /// that were sent no more commands than this one, and whose command or answer may still wait for the bus. Otherwise
+    /// a caller that stops it in every cycle would fill the bus, or the broadcast or another motor's stop would be
+    /// handed back again and again.
     fn gives_way(&self, motor: &Motor) -> bool {
         if self.config.is_rs485() {
             return false;
@@ -118,7 +119,7 @@ impl<const N: usize> Master<N> {
         motor.sent < self.told_all_at()
     }
 
-    /// CAN: whether a repeated stop has given way to the last command to all, and so goes before the next.
+    /// CAN: whether a stop that was called again has given way to the last command to all, and so goes before the next.
     fn is_stops_turn(&self) -> bool {
         let mut stops = self.at(self.places.stops);
         !self.config.is_rs485()

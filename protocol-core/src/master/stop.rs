@@ -166,7 +166,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop) or
-    /// [`lift_stop_of`](Self::lift_stop_of), the motor is refused the same commands. A stop to all that was not sent
+    /// [`lift_stop_of`](Self::lift_stop_of), the same commands to it are refused. A stop to all that was not sent
     /// yet still goes first: motors without a place may get no other.
     ///
     /// No [broadcast](Self::broadcast) that was put before undoes this stop. One that ends motion would do so if it
@@ -185,7 +185,7 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// RS485: what ends motion waits until the answer to what is in flight has come. They would collide, and neither
+    /// RS485: what ends motion leaves the answer to what is in flight time to come. They would collide, and neither
     /// would be heard.
     pub(super) fn let_line_answer(&mut self) {
         if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, self.in_flight_since()) {
@@ -202,8 +202,8 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
-        // A stop that is repeated automatically is what the motor was told last. No caller has switched the motor off
-        // with it, so it need not stay off.
+        // A stop that goes once more automatically is what the motor was told last, for example by a request. No caller
+        // has called for that as a stop, so it does not keep the motor off.
         if kind == StopKind::Off && purpose == Purpose::Stop {
             self.switched_off.insert(motor);
         }
@@ -218,8 +218,8 @@ impl<const N: usize> Master<N> {
         });
     }
 
-    /// Sends each motor that has not confirmed a stop in force that stop once more, when it is time: on a cable that is
-    /// repaired it would still turn.
+    /// Sends a stop in force once more, when it is time, to each motor that has not confirmed it: otherwise the motor
+    /// would still turn when its cable is repaired.
     pub(super) fn stop_again(&mut self) {
         let rest = self.rest_before_next_stop();
         for place in self.places.taken.iter() {
@@ -239,7 +239,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Sends the motor at this place the stop that it has not confirmed once more, if it has rested for this long.
+    /// Sends the motor at this place its unconfirmed stop once more, if it has rested for this long.
     /// Inlined: a call costs firmware more flash.
     #[inline(always)]
     fn stop_once_more(&mut self, place: usize, rest: Duration) {

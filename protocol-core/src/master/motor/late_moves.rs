@@ -13,7 +13,7 @@ impl Motor {
         self.on_its_way.is_any()
     }
 
-    /// A command was sent that moves, or that undoes the stop that is told. No late reply will show that it has
+    /// A command was sent that moves the motor, or that would undo its stop. No late reply will show that it has
     /// arrived.
     #[inline(never)]
     pub(in crate::master) fn may_move_until(&mut self, until: Instant, config: &Config) {

@@ -54,8 +54,8 @@ bitflags! {
     pub(super) struct LastSent: u8 {
         /// It was a set-point, or a request that was handed back: a waiting request is next.
         const REQUESTS_TURN = 1 << 0;
-        /// The bus was quiet when its reply was due. The reply does not wait for the bus, and the others do not wait
-        /// for it.
+        /// The bus was quiet when its reply was due, or the reply time-out is over. The reply does not wait for the
+        /// bus, and the others do not wait for it.
         const HAD_ITS_CHANCE = 1 << 1;
         /// Since then all were told to end their motion, it has restarted, or the caller no longer waits for its
         /// feedback. Nothing older that moves is sent again.
@@ -120,7 +120,7 @@ pub(super) struct Motor {
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<(AnyReply, Instant)>,
-    /// Its position when it was last reported just after it was measured, and when that was.
+    /// Its position as last reported just after it was measured, and when that was.
     pub(super) position: Option<Position>,
     pub(super) position_at: Instant,
     pub(super) last_stop: LastStop,
@@ -146,7 +146,7 @@ impl Motor {
         self.told == Told::Nothing && self.request.waiting().is_some_and(is_first)
     }
 
-    /// Whether a repeated stop waits.
+    /// Whether a stop that was called again waits.
     #[inline(never)]
     pub(super) fn is_stop_called_again(&self) -> bool {
         self.request.waiting().is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
@@ -256,7 +256,7 @@ impl Motor {
     /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
     /// behind, unless it did not answer its last two commands. They do even then if it is to end its motion: its answer
     /// must not lose every arbitration. And they do if its frame made way for another, so that this does not happen for
-    /// ever.
+    /// ever. They never do once its reply [had its chance](LastSent::HAD_ITS_CHANCE).
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);

@@ -72,7 +72,7 @@ impl Motor {
         } else if self.last_sent.contains(LastSent::IS_OLD)
             || self.request.under_way().is_some_and(Asked::ends_motion)
         {
-            // What waits to end motion was requested after it, and a restart was noticed since.
+            // It is stale: what ends motion was requested since, a restart was noticed, or its caller has left.
             self.drop_waiting_set_point();
         }
     }

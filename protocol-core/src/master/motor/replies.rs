@@ -213,8 +213,8 @@ impl Motor {
         meaning
     }
 
-    /// Its answer may belong to an earlier stop, so it is sent again. This is done at once, unless it is a repeated
-    /// stop or this has happened several times. Then it waits until no earlier answer can come: otherwise each stop
+    /// Its answer may belong to an earlier stop, so it is sent again. This is done at once, unless the stop was called
+    /// again or this has happened several times. Then it waits until no earlier answer can come: otherwise each stop
     /// would leave more of them pending.
     fn go_on_unconfirmed(&mut self, stop: Asked, config: &Config) {
         if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {

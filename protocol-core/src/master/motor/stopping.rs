@@ -4,8 +4,9 @@
 //! 1. It takes the place of whatever waits ([`put_stop`](Motor::put_stop)), unless an equal one is under way
 //!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)). Nothing that moves is sent before that one is over, even
 //!    if it was lifted meanwhile. From then on, answers to what was sent before are pending.
-//! 2. It is sent ([`schedule`](crate::master::schedule)), first stops before any other. A repeated stop leaves every
-//!    second turn on RS485 to others, and waits on CAN for motors that were sent no more.
+//! 2. It is sent ([`schedule`](crate::master::schedule)), first stops before any other. A stop that was called
+//!    again ([`Purpose::StopCalledAgain`]) leaves every second turn on RS485 to others. On CAN it waits for motors that
+//!    were sent no more commands than its own.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
 //!    - If it may belong to what was sent before, the stop is sent again: at once or, if stops go on and on, when no
 //!      such answer is pending any more ([`WaitsForOwed`](crate::master::request::Proof::WaitsForOwed)).
@@ -31,12 +32,12 @@ use crate::time::Instant;
 /// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::master) enum Told {
-    /// No stop was, or something since that may have moved it.
+    /// No stop was sent, or something was since that may have moved it.
     #[default]
     Nothing,
-    /// The stop under way was. If a controller hands it back, it was not.
+    /// The stop under way was sent. If a controller hands it back, it was not.
     ByThis,
-    /// An earlier one was.
+    /// An earlier one was sent.
     Before,
 }
 
@@ -78,8 +79,8 @@ impl LastStop {
 }
 
 impl Motor {
-    /// Keeps an equal stop that is under way; returns whether there is one. If that stop is a repetition of one that
-    /// was given up, it gets all its attempts from here. If its last attempt was sent, it gets one more.
+    /// Keeps an equal stop that is under way; returns whether there is one. If that stop was given up before and is
+    /// sent once more, it gets all its attempts from here. If its last attempt was sent, it gets one more.
     fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
@@ -96,8 +97,8 @@ impl Motor {
         true
     }
 
-    /// The motor is stopped in this way. If nothing has undone an equal stop since, this is a repeated one. If that
-    /// stop was given up, an answer to any of its frames confirms this one.
+    /// The motor is stopped in this way. If nothing has undone an equal stop since, that stop is called again. If it
+    /// was given up, an answer to any of its frames confirms this one.
     pub(in crate::master) fn stop(&mut self, mut stop: Asked, config: &Config, now: Instant) {
         if self.keep_stop_under_way(&stop) {
             return;
@@ -149,8 +150,8 @@ impl Motor {
         self.request = Request::Waiting(stop);
     }
 
-    /// What ends motion must not count before every earlier stop of the other kind has arrived. A controller that keeps
-    /// no order may send that one later: a load that is held falls, or a motor that is off is switched on.
+    /// What ends motion must not count while an earlier stop of the other kind may still arrive. A controller that
+    /// keeps no order may send that one later: a load that is held falls, or a motor that is off is switched on.
     #[inline(never)]
     pub(in crate::master) fn let_other_stop_come_first(
         &mut self,

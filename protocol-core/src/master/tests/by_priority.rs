@@ -268,8 +268,8 @@ fn a_request_is_told_to_the_last_though_others_stream() {
     }
 }
 
-/// A queue as SocketCAN has it, with room for so many: a bus of eight frames a millisecond, on which answers arbitrate.
-/// Drives answer after 7 frames' time.
+/// A queue as SocketCAN has it, with room for this many frames: a bus of eight frames a millisecond, on which answers
+/// arbitrate. Drives answer after 7 frames' time.
 struct Arbitrating {
     room: usize,
     queue: std::collections::VecDeque<Packet>,

@@ -559,7 +559,8 @@ fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_
     }
 }
 
-/// What a stop goes over on CAN may come as late as that. Here nothing is under way any more when it goes.
+/// On CAN, what a stop takes the place of may come as late as that. Here nothing is under way any more when the stop
+/// is sent.
 #[test]
 fn on_a_line_a_late_reply_is_waited_for_no_longer_because_of_a_stop() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));

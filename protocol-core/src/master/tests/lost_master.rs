@@ -149,7 +149,7 @@ fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignor
     assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(7)), Some(Event::Feedback { .. })));
 }
 
-/// A master that starts between two of its messages has not heard that it has lost its master.
+/// A master that starts between two of a drive's messages has not heard that the drive has lost its master.
 #[test]
 fn the_echo_of_what_moves_is_no_answer_whoever_has_heard_of_a_lost_master() {
     let mut master = Master::<2>::new(Config::CAN);

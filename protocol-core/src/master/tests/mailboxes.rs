@@ -414,7 +414,7 @@ fn nor_does_it_where_the_window_has_grown_since() {
 #[test]
 fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes_no_later_stop() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
-    // In flight, sent with nobody to answer, and over.
+    // In flight, sent with no motor expected to answer, and over.
     for (expected, over) in [(id(1).into(), 0), (MotorSet::EMPTY, 0), (id(1).into(), 21)] {
         for is_stopped_before in [false, true] {
             let mut master = Master::<2>::new(Config::CAN);
@@ -545,7 +545,7 @@ fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_h
     };
     assert_eq!(goes(off, StopKind::Hold), []);
     assert_eq!(goes(hold, StopKind::Off), []);
-    // Nobody begins anew.
+    // No motor is restarted.
     assert_eq!(goes(Reset.encode(), StopKind::Hold), []);
     assert_eq!(goes(Reset.encode(), StopKind::Off), []);
     // Motors that this master does not know must also be stopped.

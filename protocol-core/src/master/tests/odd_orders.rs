@@ -702,8 +702,8 @@ fn whoever_fills_a_line_holds_no_stop_up() {
     assert_eq!(sent_at, Some(1));
 }
 
-/// Nor does it say when the line is free again, if nobody sees that between two frames: where they follow one another
-/// closely, or the clock's steps are longer than the drives take to turn around.
+/// Nor do such frames delay a command if the free line between two of them is not seen: because they follow one another
+/// closely, or because the clock's steps are longer than the drives take to turn around.
 #[test]
 fn whoever_fills_a_line_keeps_nobody_off_it() {
     let of_another = Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY };
@@ -727,7 +727,7 @@ fn whoever_fills_a_line_keeps_nobody_off_it() {
     }
 }
 
-/// Who answers turns around before the next command, whatever waits for that.
+/// A motor that has answered turns around before the next command, whatever waits.
 #[test]
 fn on_a_line_who_has_answered_turns_around_first() {
     let mut master = Master::<2>::new(Config::rs485(115_200, false));

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// When a stop of motor 1, which begins at 500 ms, is confirmed: by so many answers.
+/// How many answers it takes until a stop of motor 1 that begins at 500 ms is confirmed.
 fn answers_that_confirm(before: impl FnOnce(&mut Master<2>)) -> u32 {
     let mut master = Master::<2>::new(Config::CAN);
     before(&mut master);

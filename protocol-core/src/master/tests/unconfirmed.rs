@@ -161,7 +161,7 @@ fn what_ends_its_motion_takes_an_unconfirmed_stop_back_when_it_is_answered() {
     master.handle_timeout(ms(now));
     let patience = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
     let off = master.request_with(id(1), Shutdown, patience).unwrap();
-    // Nothing goes over it.
+    // Nothing takes its place.
     assert_eq!(goes_again(&mut master, now), [packet_to(1, Shutdown.encode())]);
     let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 120)).unwrap();
     assert!(off.outcome(&told).is_some());
@@ -614,7 +614,7 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
     assert_eq!(sent(&mut master, ms(now + 31)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// A hold that was not confirmed is repeated as what all were told since. That alone does not keep the motor off.
+/// A hold that was not confirmed goes once more as what all were told since. That alone does not keep the motor off.
 #[test]
 fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     let mut master = Master::<2>::new(Config::CAN);
