@@ -17,7 +17,7 @@ use myactuator_host_std::protocol::time::{Duration, Instant};
 use myactuator_host_std::protocol::units::{MaxTorque, SpeedTarget};
 use myactuator_host_std::sim::{CanFleet, Fleet};
 
-/// So long a motor goes on as its task has wanted last.
+/// For this long a motor goes on as its task wanted last.
 const LONGEST_SILENCE: Duration = Duration::from_millis(100);
 
 type Wanted = Signal<NoopRawMutex, Speed>;
@@ -42,17 +42,16 @@ async fn own<R: AsyncRunner<8>>(
     let work = async |bus: &mut R| {
         let mut latest = [bus.now() + LONGEST_SILENCE; 2];
         loop {
-            let newest = select_array(wanted.each_ref().map(Signal::wait));
             let until = latest[0].min(latest[1]);
-            // Whichever comes first, and the bus goes on with the next: a future of it may be dropped.
+            if bus.now() >= until {
+                return Ok(End::Silent);
+            }
+            let newest = select_array(wanted.each_ref().map(Signal::wait));
+            // Whichever comes first. The bus goes on in the next round, since a future of it may be dropped.
             match select3(button.wait(), bus.run(Some(until)), newest).await {
                 Either3::First(()) => return Ok(End::Pressed),
-                Either3::Second(outcome) => match outcome.map_err(CallError::Bus)? {
-                    None => return Ok(End::Silent),
-                    // A motor that has restarted, or is silent for a second, is refused its next set-point. Who has
-                    // motors report their errors (function 3) stops for such a report, too.
-                    Some(_event) => {}
-                },
+                // A `Watch` would note the event.
+                Either3::Second(outcome) => drop(outcome.map_err(CallError::Bus)?),
                 Either3::Third((speed, of)) => {
                     bus.set_point(motors[of], speed)?;
                     latest[of] = bus.now() + LONGEST_SILENCE;

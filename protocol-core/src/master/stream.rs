@@ -96,9 +96,9 @@ impl<const N: usize> Master<N> {
     /// never heard, for example because of a wrong id: see when its [feedback](Self::latest_feedback) came last.
     ///
     /// # Errors
-    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
-    /// [restarted](crate::master::Event::Restarted), a request of the same kind is under way, or there is no place for
-    /// one more motor.
+    /// [`RequestError`]: the command is no set-point, or does not go over this bus; the motors were stopped; the motor has
+    /// [restarted](crate::master::Event::Restarted); a request of the same kind is under way; or there is no place for one
+    /// more motor.
     pub fn set_point<C: command::SetPoint>(
         &mut self,
         motor: MotorId,
