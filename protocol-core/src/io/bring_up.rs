@@ -267,7 +267,7 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 /// Makes the current position the zero, checks that it is kept, and returns the new offset. Stores the zero (0x64),
 /// restarts the drive (0x76), and reads offset and angle back.
 ///
-/// - A motor that turns is refused.
+/// - This is refused while a stop is in force for the motor, and while the motor turns.
 /// - The motor's output is switched off first. Before that, if the motor may hold a load, its brake is told to lock
 ///   (0x78). If a load falls all the same, of a motor without a brake for example, the motor is told to hold it again,
 ///   and is refused: hold such a shaft by other means.
@@ -288,7 +288,7 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///
 /// - Function 5 (0x20) names the motor, so it comes first. If the motor does not acknowledge that and is the only one
 ///   on the bus, 0x79 is tried, which all connected motors obey.
-/// - A motor that turns is refused.
+/// - This is refused while a stop is in force for the motor, and while the motor turns.
 /// - Before the motor is switched off, if it may hold a load, its brake is told to lock (0x78). If a load falls all the
 ///   same, of a motor without a brake for example, the motor is told to hold it again, and is refused.
 /// - This asks all ids first, and both of these afterwards. So the master needs a place for each of the two besides
