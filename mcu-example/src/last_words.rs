@@ -1,15 +1,18 @@
-//! What a firmware that cannot go on still has to say.
+//! The last frames of a firmware that cannot go on.
 
 use myactuator_protocol_core::command::Stop;
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{Channel, Packet, Target};
 
-/// The stops that a panicking or faulting firmware sends: one to all motors at once, then one to each
-/// of `motors`, for on CAN the first reaches only those whose id filter is off.
+/// The stops that a firmware sends when it panics or faults: first one to all motors, then one to each of `motors`. On
+/// CAN the first reaches only motors whose id filter is off.
 ///
-/// Needs no heap, no interrupt and no lock. The caller sends them by looking at the controller's
-/// registers, gives up on a bus that takes nothing, leaves each motor time to answer where answers and
-/// commands share a line, and then resets.
+/// Needs no heap, interrupts or locks. The caller:
+///
+/// - sends them by polling the controller's registers;
+/// - gives up on a bus that takes nothing;
+/// - where answers and commands share a line, leaves each motor time to answer;
+/// - then resets.
 pub fn last_words(motors: MotorSet) -> impl Iterator<Item = Packet> {
     let each = motors.iter().map(Target::Motor);
     core::iter::once(Target::All)
@@ -23,7 +26,7 @@ mod tests {
 
     use super::*;
 
-    /// The emulator does not show it: a firmware that restarts stops each motor itself, right behind.
+    /// The emulator does not show this: after its restart the firmware stops each motor anyway.
     #[test]
     fn all_at_once_and_then_each_is_stopped() {
         let mut words = last_words(MotorId::all().take(3).collect());

@@ -2,9 +2,9 @@
 //!
 //! Read it in this order:
 //!
-//! 1. [`Board`]: what a board has to supply beside its bus. The boards are in `boards/`, a package
-//!    each, a program a bus.
-//! 2. [`run`] and [`run_async`]: the loop that every board's program ends in.
+//! 1. [`Board`]: what a board has to supply besides its bus. The boards are in `boards/`: one package for each board,
+//!    one program for each bus.
+//! 2. [`run`] and [`run_async`]: the loop in which every board's program ends.
 //! 3. [`App`]: what happens in each cycle, a small state machine without a clock or I/O of its own.
 //!
 //! ```text
@@ -20,10 +20,10 @@
 //!                                  Looking
 //! ```
 //!
-//! `Looking` follows only where a shutdown was broken off, at each motor once it has confirmed its stop: where that is
-//! late, also from `Stopped`.
+//! `Looking` follows only if a shutdown was broken off: for each motor, once that motor has confirmed its stop. If the
+//! confirmation is late, it follows from `Stopped`.
 //!
-//! Nothing moves until the button was pressed, whatever happened before.
+//! Nothing moves until the button is pressed, whatever happened before.
 #![no_std]
 #![forbid(unsafe_code)]
 

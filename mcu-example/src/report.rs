@@ -7,7 +7,7 @@ use myactuator_protocol_core::units::Angle;
 
 use crate::board::RestartCause;
 
-/// Something worth telling.
+/// A line of the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Report {
@@ -16,7 +16,7 @@ pub enum Report {
         /// Why.
         cause: RestartCause,
     },
-    /// The application went on to another state.
+    /// The application has entered another state.
     State(StateName),
     /// A motor answers.
     Found {
@@ -27,7 +27,7 @@ pub enum Report {
         /// The date of its software.
         version_date: VersionDate,
     },
-    /// A motor is ready to run from here.
+    /// A motor is ready to run.
     Ready {
         /// The motor.
         motor: MotorId,
@@ -36,37 +36,36 @@ pub enum Report {
     },
     /// What made the application stop the motors, or not start them.
     Trouble(Trouble),
-    /// Nobody has confirmed the stop at these ids, and nobody has answered there since the start: as far as
-    /// is known, nobody has them. Only if a motor with one of them may have moved before the start, as
-    /// after a crash: cut its power.
+    /// Nothing at these ids has confirmed the stop, and nothing has answered there since the start. As far as is known
+    /// no motor has these ids. If one of them belongs to a motor that may have moved before the start, after a crash
+    /// for example: cut its power.
     Unheard {
         /// The ids.
         motors: MotorSet,
     },
     /// The stop is over.
     Stopped {
-        /// The motors that are there and have not confirmed it: cut their power.
+        /// Motors that are there and have not confirmed it: cut their power.
         unconfirmed: MotorSet,
     },
-    /// Every second while the motors run. What the board cannot tell is 0: see
-    /// [`Usage`](crate::Usage).
+    /// Once a second while the motors run. What the board cannot measure is 0: see [`Usage`](crate::Usage).
     Second {
-        /// Cycles since the motors run.
+        /// Cycles since the motors began to run.
         cycles: u32,
-        /// Cycles of these that began more than half a period late.
+        /// How many of them began more than half a period late.
         overruns: u32,
-        /// Set-points that were answered in this second, of the motor with the fewest.
+        /// Set-points that the slowest motor has answered in this second.
         slowest: u16,
-        /// Commands without a reply in time since the start, of all motors.
+        /// Commands that got no reply in time since the motors began to run, of all motors.
         lost: u32,
-        /// The deepest that the stack has been since the start, in bytes.
+        /// The deepest use of the stack since the start, in bytes.
         stack: u32,
-        /// The most that has waited at once for the loop since the start: bytes or frames.
+        /// The most that was queued for the loop at one time since the start: bytes or frames.
         queued: u32,
         /// What came from the bus and was lost on the board since the start: bytes or frames.
         dropped: u32,
     },
-    /// Every second while the motors run, for each.
+    /// Once a second while the motors run, for each motor.
     Measured {
         /// The motor.
         motor: MotorId,
@@ -83,45 +82,45 @@ pub enum Trouble {
     Button,
     /// No motor answers.
     NoMotor,
-    /// A motor's firmware is not the one that this application is set up for: what it would make of
-    /// the same commands is not known.
+    /// A motor's firmware is not the one that this application is set up for. It is not known what that firmware would
+    /// do with the same commands.
     OtherFirmware {
         /// The motor.
         motor: MotorId,
         /// The date of its software.
         version_date: VersionDate,
     },
-    /// A motor reports errors, so that it holds nothing: its brake is told to lock. Told once from one press of the
-    /// button to the next, also while the motors are stopped.
+    /// A motor reports errors, so it holds nothing: its brake is told to lock. Reported once between two presses of the
+    /// button, also while the motors are stopped.
     Errors {
         /// The motor.
         motor: MotorId,
         /// Which.
         flags: ErrorFlags,
     },
-    /// A motor is too far from zero to be moved from where it is.
+    /// A motor is too far from zero for its movement.
     OutOfRange {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor that is required, or has answered before, does not answer, or what it answers cannot be
-    /// read. One that was taken away on purpose is forgotten when the board is switched off and on.
+    /// A motor that is required, or has answered before, does not answer, or its answer cannot be read. If you take a
+    /// motor away on purpose, switch the board off and on, so that it forgets the motor.
     Silent {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has restarted: its turns may be lost.
+    /// A motor has restarted. It may have lost its turns.
     Restarted {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor had lost its master and has cut its output.
+    /// A motor has lost its master and cut its output.
     LostMaster {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor's shaft turns although its brake was told to lock, as one does that has no brake and a load once
-    /// its output is off. It is told to hold again.
+    /// A motor's shaft turns although its brake was told to lock. So does the shaft of a motor with a load and without
+    /// a brake once its output is off. The motor is told to hold again.
     Turns {
         /// The motor.
         motor: MotorId,
@@ -141,17 +140,17 @@ pub enum Trouble {
 pub enum StateName {
     /// The motors are being stopped.
     Stopping,
-    /// Waits for the button.
+    /// All wait for the button.
     Stopped,
-    /// Asks for each motor's firmware, model and errors.
+    /// Each motor is asked for its firmware, model and errors.
     Finding,
-    /// Sets protections and error reports, opens brakes, reads where the shafts are.
+    /// Protections and error reports are set, brakes are opened, and the shafts' positions are read.
     Preparing,
-    /// Moves the motors.
+    /// The motors move.
     Running,
-    /// Locks brakes and switches outputs off, and looks whether the shafts stand then.
+    /// Brakes are locked and outputs switched off. Then the shafts are checked.
     ShuttingDown,
-    /// A shutdown was broken off: looks whether the shafts stand behind the brakes that were told to lock, and has
-    /// those that turn hold again.
+    /// A shutdown was broken off. The shafts of the motors whose brakes were told to lock are checked, and the motors
+    /// whose shafts turn are told to hold again.
     Looking,
 }

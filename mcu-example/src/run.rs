@@ -1,12 +1,12 @@
-//! The loop that every program ends in: [`run`] where the bus is polled, [`run_async`] where it is a
-//! task. Both do nothing but carry events and time to the [`App`].
+//! The loop in which every program ends: [`run`] if the bus is polled, [`run_async`] as a task. Both only carry events
+//! and the time to the [`App`].
 
 use myactuator_protocol_core::io::{AsyncRunner, Runner};
 
 use crate::app::{App, Moment, Setup};
 use crate::board::{Board, RestartCause};
 
-/// Runs the application for ever.
+/// Runs the application forever.
 pub fn run<const N: usize>(
     bus: &mut impl Runner<N>,
     board: &mut impl Board,
@@ -20,7 +20,7 @@ pub fn run<const N: usize>(
     }
 }
 
-/// Runs one cycle: carries the bus until it is time, then begins the next cycle.
+/// Runs one cycle: runs the bus until the next cycle is due, then begins it.
 pub fn cycle<const N: usize>(app: &mut App<N>, bus: &mut impl Runner<N>, board: &mut impl Board) {
     while bus.now() < app.next_cycle() {
         match bus.poll() {

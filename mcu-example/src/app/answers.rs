@@ -11,13 +11,13 @@ use crate::board::Board;
 use crate::report::{Report, Trouble};
 
 impl<const N: usize> App<N> {
-    /// The outcome of a request: that of the rounds or the script's.
+    /// Takes the outcome of a request of the rounds or of the script.
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         self.locks.note(event);
         let answer = self.rounds.take(event).or_else(|| {
             let answer = self.state.script()?.take(event);
             if let (State::Looking { .. }, Some((motor, Answer::None))) = (&self.state, answer) {
-                // It is looked at once it confirms the next stop.
+                // Its shaft is checked once it confirms the next stop.
                 self.unseen.insert(motor);
             }
             answer
@@ -28,7 +28,7 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// Takes note of an answer; gives what is wrong with it.
+    /// Takes note of an answer, and returns what is wrong with it.
     fn note(
         &mut self,
         motor: MotorId,
@@ -37,7 +37,7 @@ impl<const N: usize> App<N> {
     ) -> Option<Trouble> {
         match answer {
             Answer::None if !self.expected.contains(motor) => {
-                // Nobody has this id.
+                // No motor has this id.
                 at.master.forget(motor);
                 None
             }

@@ -2,17 +2,17 @@
 
 use myactuator_protocol_core::time::{Duration, Instant};
 
-/// A contact that has not changed for so long has stopped bouncing.
+/// A contact that has not changed for this long has stopped bouncing.
 const SETTLED_AFTER: Duration = Duration::from_millis(20);
-/// Held for so long it is a long press.
+/// A press of this length is a long one.
 const LONG: Duration = Duration::from_secs(1);
 
 /// How a button was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Press {
-    /// The contact has just closed: soon enough for a stop, too soon for anything else.
+    /// The contact has just closed. That is reason enough to stop, but for nothing else.
     Down,
-    /// It came up again, and stays open.
+    /// The button came up again, and stays up.
     Short {
         /// When it went down.
         since: Instant,
@@ -21,7 +21,7 @@ pub(super) enum Press {
     Long,
 }
 
-/// A press under way: since when, or no more to be reported of it.
+/// Since when the button is pressed; `None` if nothing more is to be reported of this press.
 type Pressed = Option<Instant>;
 
 #[derive(Clone, Copy, Debug)]
@@ -30,30 +30,30 @@ enum Contact {
     Open,
     /// Closed.
     Closed(Pressed),
-    /// Open since then: the press is over unless the contact bounces.
+    /// Open since `since`. The press is over unless the contact bounces.
     Opening { since: Instant, pressed: Pressed },
 }
 
-/// Looks at a contact again and again.
+/// Debounces a contact.
 #[derive(Debug)]
 pub(super) struct Button {
     contact: Contact,
 }
 
 impl Button {
-    /// A button that is down at the start counts only after it was up: a jammed one starts nothing.
+    /// A button that is down at the start counts only after it was up, so that a jammed button starts nothing.
     pub(super) const fn new() -> Self {
         Self { contact: Contact::Closed(None) }
     }
 
-    /// Nothing more is reported until the button was up.
+    /// Reports nothing more until the button was up.
     pub(super) fn use_up(&mut self) {
         if let Contact::Closed(pressed) | Contact::Opening { pressed, .. } = &mut self.contact {
             *pressed = None;
         }
     }
 
-    /// What the contact, seen now, adds to what it was before.
+    /// Takes how the contact is now, and returns what that adds to the press.
     pub(super) fn look(&mut self, is_down: bool, now: Instant) -> Option<Press> {
         let (contact, press) = match (self.contact, is_down) {
             (Contact::Open, true) => (Contact::Closed(Some(now)), Some(Press::Down)),

@@ -6,11 +6,11 @@ use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketI
 use super::Setup;
 use super::script::Question;
 
-/// Whose brakes are to lock.
+/// Locks the brakes of these motors.
 #[derive(Debug)]
 pub(super) struct Locks {
     wanted: MotorSet,
-    /// The one that was told so and has not answered.
+    /// The command in flight.
     told: Option<TicketId>,
 }
 
@@ -19,14 +19,14 @@ impl Locks {
         Self { wanted: MotorSet::EMPTY, told: None }
     }
 
-    /// This motor's is to lock.
+    /// Has this motor's brake lock.
     pub(super) fn want(&mut self, motor: MotorId) {
         self.wanted.insert(motor);
     }
 
-    /// Tells them so, one after the other. One that is being stopped gets it behind that.
+    /// Sends the commands to lock, one at a time. A motor that is being stopped gets its own after the stop.
     pub(super) fn ask<const N: usize>(&mut self, setup: &Setup, master: &mut Master<N>) {
-        // To look through all ids would take some 200 instructions a cycle.
+        // Looking through all ids would take some 200 instructions a cycle.
         if self.wanted.is_empty() || self.told.is_some() {
             return;
         }
@@ -37,7 +37,7 @@ impl Locks {
         }
     }
 
-    /// Takes note of an outcome. Whoever was told nothing, as a stop took the place of that, is told behind the stop.
+    /// Takes note of an outcome. If a stop has dropped the command, it is sent again after the stop.
     pub(super) fn note(&mut self, event: &Event) {
         let Some(told) = self.told else { return };
         let failure = match event {
@@ -67,7 +67,7 @@ mod tests {
         let [mut earlier, mut master] = [(); 2].map(|()| Master::<2>::new(Config::can(1_000_000)));
         let motor = MotorId::MIN;
         assert!(earlier.request(motor, ReadModel).is_ok());
-        // So that its next ticket is another.
+        // This makes its next ticket a different one.
         assert!(master.request(MotorId::all().last().expect("32"), ReadModel).is_ok());
 
         let mut locks = Locks::new();

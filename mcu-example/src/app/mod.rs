@@ -41,22 +41,22 @@ pub struct Moment<'a, const N: usize, B> {
     pub board: &'a mut B,
 }
 
-/// The application of a bus with up to `N` motors: told every event and the beginning of every cycle,
-/// it says to the [`Master`] what is to be done.
+/// The application of a bus with up to `N` motors. It gets every event and the beginning of every cycle, and gives its
+/// commands to the [`Master`].
 #[derive(Debug)]
 pub struct App<const N: usize> {
     setup: Setup,
     state: State,
     motors: Vec<Motor, N>,
-    /// Those that are missed when they do not answer: the required ones, and whoever has answered anything
-    /// since the start.
+    /// Motors that must answer: the required ones, and those that have answered anything since the start.
     expected: MotorSet,
     locks: Locks,
-    /// Those whose errors were told since the button was pressed.
+    /// Motors whose errors were reported since the button was pressed.
     failed: MotorSet,
-    /// Those whose brakes were told to lock by a shutdown that was broken off, and that nobody has looked at since.
+    /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
+    /// since.
     unseen: MotorSet,
-    /// From when on it shows whether their shafts stand.
+    /// From when on a check shows whether their shafts stand.
     shows_at: Instant,
     rounds: Rounds,
     button: Button,
@@ -66,8 +66,8 @@ pub struct App<const N: usize> {
 }
 
 impl<const N: usize> App<N> {
-    /// Begins with a stop to all motors that may be there, whatever the cause of the start: they may
-    /// have gone on while nobody watched.
+    /// Begins with a stop to all motors that may be there, whatever the cause of the start: they may have moved on
+    /// without a master.
     pub fn start(setup: Setup, cause: RestartCause, at: &mut Moment<'_, N, impl Board>) -> Self {
         at.board.log(&Report::Started { cause });
         let mut app = Self {
@@ -81,7 +81,7 @@ impl<const N: usize> App<N> {
             shows_at: at.now,
             rounds: Rounds::new(at.now),
             button: Button::new(),
-            // Who restarts by itself was running, perhaps, and stops.
+            // If the firmware has restarted on its own, the motors may have been running and stop now.
             may_start_at: match cause {
                 RestartCause::Power => at.now,
                 _ => at.now + STOPPED_BY_ITSELF,
@@ -97,7 +97,7 @@ impl<const N: usize> App<N> {
         self.next_cycle
     }
 
-    /// Takes note of an event. Call it with each as soon as it comes.
+    /// Takes note of an event. Call it with every event, as soon as it comes.
     pub fn handle_event(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         match *event {
             Event::StopConfirmed { motor } => self.stop_is_over(motor, true),
@@ -117,7 +117,7 @@ impl<const N: usize> App<N> {
                 self.trouble(Trouble::Errors { motor, flags: status.errors }, at);
             }
             Event::Restarted { motor } => {
-                // Those that are moved are stopped by this; others get no set-points before they were found.
+                // Motors that are moved are stopped by this. Others get no set-points before they are found.
                 at.master.resume(motor);
                 self.rounds.doubt(motor.into());
                 if self.motor(motor).is_some() {
@@ -139,7 +139,7 @@ impl<const N: usize> App<N> {
         self.trouble(Trouble::BusDown, at);
     }
 
-    /// Begins a cycle: [`next_cycle`](Self::next_cycle) is over.
+    /// Begins a cycle. Call it when [`next_cycle`](Self::next_cycle) has come.
     pub fn begin_cycle(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let is_late = at.now > self.next_cycle + half(self.setup.cycle);
         self.next_cycle = if is_late { at.now } else { self.next_cycle } + self.setup.cycle;
@@ -175,8 +175,8 @@ impl<const N: usize> App<N> {
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
-            // The press that stops, or comes while motors are being stopped, is used up: letting go does
-            // not start anything.
+            // A press that stops the motors, or comes while they are being stopped, is used up: releasing the button
+            // starts nothing.
             _ => {
                 self.button.use_up();
                 self.trouble(Trouble::Button, at);
@@ -200,8 +200,8 @@ impl<const N: usize> App<N> {
                 Some(Step::Waiting) | None => {}
             },
         }
-        // In every state, and also to those whose firmware nobody has asked for yet: a motor that hears
-        // nothing lets go.
+        // In every state, and also to motors whose firmware was not asked for yet: a motor that hears nothing cuts its
+        // output.
         self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
     }
 
@@ -212,7 +212,7 @@ impl<const N: usize> App<N> {
                 self.trouble(Trouble::NoMotor, at);
             }
             State::Finding(_) => {
-                // Nothing moves yet; but opening a brake is refused while a stop is in force.
+                // Nothing moves yet, but a brake cannot be opened while a stop is in force.
                 at.master.lift_stop();
                 self.enter(State::Preparing(Script::prepare(found, at.now)), at);
             }
@@ -222,7 +222,7 @@ impl<const N: usize> App<N> {
                     Some(next) => {
                         *script = next;
                         if is_any_turning {
-                            // As above: brakes are to open.
+                            // Brakes have to open here, too.
                             at.master.lift_stop();
                         }
                     }
@@ -243,7 +243,7 @@ impl<const N: usize> App<N> {
                         for motor in &mut self.motors {
                             motor.begin(at.master.health(motor.id), at.now);
                         }
-                        // All hold, their brakes open.
+                        // All motors hold, and their brakes are open.
                         self.unseen = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
@@ -264,12 +264,12 @@ impl<const N: usize> App<N> {
         self.motors.iter_mut().find(|motor| motor.id == id)
     }
 
-    /// All that may be there: the expected ones, and before any was found whoever is looked for.
+    /// All motors that may be there: the expected ones and, before any was found, those that are searched.
     fn known(&self) -> MotorSet {
         if self.motors.is_empty() { self.expected.with(self.setup.search) } else { self.expected }
     }
 
-    /// Those that the rounds go to: all that are expected, less those that are being stopped.
+    /// The motors of the rounds: all expected ones, except those that are being stopped.
     fn attended(&self) -> MotorSet {
         match self.state {
             State::Stopping { .. } => MotorSet::EMPTY,
@@ -284,7 +284,7 @@ impl<const N: usize> App<N> {
         self.motors.iter().map(|motor| motor.id).collect()
     }
 
-    /// On while the motors run, blinking fast while it is busy, slowly while it waits.
+    /// On while the motors run, blinking slowly while it waits for the button, blinking fast otherwise.
     fn is_light_on(&self, now: Instant) -> bool {
         let blink =
             |half_period_ms: u64| (now.as_micros() / (half_period_ms * 1_000)).is_multiple_of(2);

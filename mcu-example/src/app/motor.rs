@@ -16,13 +16,13 @@ use super::{Movement, Setup};
 pub(super) struct Motor {
     pub(super) id: MotorId,
     pub(super) version_date: VersionDate,
-    /// Where it was when it got ready: it moves around that.
+    /// Where it was when it got ready. It moves to one side of that and back.
     pub(super) home: Angle,
     /// Where it was last seen.
     pub(super) angle: Angle,
-    /// When its stream was answered last.
+    /// When its last set-point was answered.
     heard: Instant,
-    /// Set-points that were answered since they were last counted.
+    /// Set-points that were answered since the last count.
     answered: u16,
     /// Commands that were lost before it began to move.
     lost_before: u16,
@@ -42,15 +42,14 @@ impl Motor {
         }
     }
 
-    /// The motion begins now. What was lost before is not this motion's: a stop takes the place of a
-    /// question under way.
+    /// The motion begins now. What was lost before does not count: a stop takes the place of a request in flight.
     pub(super) fn begin(&mut self, health: Health, now: Instant) {
         self.lost_before = health.lost;
         self.heard = now;
         self.answered = 0;
     }
 
-    /// Its stream was answered.
+    /// A set-point was answered.
     pub(super) fn feedback(
         &mut self,
         reply: &AnyReply,
@@ -67,22 +66,22 @@ impl Motor {
         }
     }
 
-    /// For how long its stream was not answered.
+    /// How long ago its last set-point was answered.
     pub(super) fn silence(&self, now: Instant) -> Duration {
         now - self.heard
     }
 
-    /// How many set-points were answered since this was last asked.
+    /// Returns how many set-points were answered since the last call.
     pub(super) fn take_answered(&mut self) -> u16 {
         core::mem::take(&mut self.answered)
     }
 
-    /// Commands without a reply in time since it began to move.
+    /// Commands that got no reply in time since it began to move.
     pub(super) fn lost(&self, health: Health) -> u32 {
         health.lost.saturating_sub(self.lost_before).into()
     }
 
-    /// It begins here. Whether the whole way from here lies within what its commands can say.
+    /// Sets where it begins. Returns whether its commands can express the whole movement from there.
     pub(super) fn can_begin_at(&mut self, home: Angle, setup: &Setup) -> bool {
         self.home = home;
         [0.0, 1.0].into_iter().all(|part| match setup.movement {

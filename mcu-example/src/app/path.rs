@@ -1,20 +1,19 @@
-//! The movement: to and fro, without a jerk.
+//! The movement: there and back, without a jerk.
 
 use myactuator_protocol_core::time::Duration;
 
-/// Where on the way a motor is to be, as a part of the amplitude, and how fast that changes, in
-/// amplitudes a second.
+/// Where a motor is to be, as a part of the amplitude, and how fast that changes, in amplitudes per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
     pub(super) part: f32,
     pub(super) per_second: f32,
 }
 
-/// The place `since` the start, there and back once a `period`: at rest at both ends.
+/// The place at `since` after the start. It goes there and back once in each `period`, and is at rest at both ends.
 pub(super) fn place(since: Duration, period: Duration) -> Place {
     let period_us = period.as_micros().max(2);
     let half_us = period_us / 2;
-    // Reduced as whole microseconds, so that an hour of motion is as exact as its first second.
+    // Reduced in whole microseconds, so that an hour of motion is as exact as its first second.
     let within_us = since.as_micros() % period_us;
     let (passed_us, sign) =
         if within_us < half_us { (within_us, 1.0) } else { (period_us - within_us, -1.0) };

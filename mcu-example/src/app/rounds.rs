@@ -1,4 +1,4 @@
-//! Goes round the motors: of each its errors, its run time and its angle, one question at a time.
+//! Asks the motors for their errors, run times and angles, one question at a time.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
@@ -14,14 +14,14 @@ const QUESTIONS: [Question; 3] = [Question::Errors, Question::RunTime, Question:
 /// Whose turn it is.
 #[derive(Debug)]
 pub(super) struct Rounds {
-    /// Counts the questions: one to each motor, then the next one to each, so that none waits for long
-    /// until it hears something.
+    /// Counts the questions. Each motor gets one question before any gets the next, so that none hears nothing for
+    /// long.
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
-    /// Those that may have let go, and have not answered since.
+    /// Motors that may have let go, and have not answered since.
     doubted: MotorSet,
-    /// Those of them that have answered once.
+    /// Motors that may have let go, and have answered once since.
     answered: MotorSet,
 }
 
@@ -31,14 +31,14 @@ impl Rounds {
         Self { turn: 0, asked: None, next: now, doubted, answered }
     }
 
-    /// These may have let go. Who has lost its master obeys the third command: once they have answered two they
-    /// [are back](Answer::Back).
+    /// These motors may have let go. One that has lost its master obeys the third command. So a motor [is
+    /// back](Answer::Back) once it has answered two.
     pub(super) const fn doubt(&mut self, motors: MotorSet) {
         self.doubted = self.doubted.with(motors);
         self.answered = self.answered.without(motors);
     }
 
-    /// Asks one of these motors the next question if it is time and nobody is being asked.
+    /// Asks one of these motors the next question, if it is time and none is in flight.
     pub(super) fn ask<const N: usize>(
         &mut self,
         motors: MotorSet,
@@ -59,14 +59,14 @@ impl Rounds {
         self.next = now + INTERVAL;
     }
 
-    /// The answer, if the event brings it.
+    /// Returns the answer if the event brings it.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let (ticket, question) = self.asked?;
         let answer = question.answer(ticket, event)?;
         self.asked = None;
         let motor = ticket.motor();
         match answer {
-            // A stop took its place.
+            // A stop has dropped the question.
             Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
             Answer::None => self.doubt(motor.into()),
             Answer::Errors(_) => {}

@@ -9,12 +9,12 @@ use super::{App, Moment};
 use crate::board::{Board, Usage};
 use crate::report::{Report, Trouble};
 
-/// A running motor that was not heard for so long has gone.
+/// A running motor that was not heard for this long is gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
-/// While a line waits for the answer of a motor that has gone, nobody else is asked. If none at all was heard for
-/// longer than that by this much, it is the bus that has gone.
+/// While a line waits for the answer of a motor that is gone, no other motor is asked. If no motor at all was heard for
+/// this much longer than that wait, the bus is down.
 const ROUND: Duration = Duration::from_millis(10);
-/// The watchdog is fed only as long as each running motor was heard within this time.
+/// The watchdog is fed only while each running motor was heard within this time.
 pub(super) const SEEN_WITHIN: Duration = Duration::from_millis(50);
 pub(super) const SECOND: Duration = Duration::from_secs(1);
 
@@ -31,7 +31,7 @@ impl<const N: usize> App<N> {
         for motor in &self.motors {
             if !motor.put_set_point(&self.setup, at.now - since, at.master, at.now) {
                 let motor = motor.id;
-                // The event that says so may be yet to come.
+                // The event that reports it may not have come yet.
                 let trouble = match at.master.has_restarted(motor) {
                     true => Trouble::Restarted { motor },
                     false => Trouble::Refused { motor },
@@ -62,14 +62,14 @@ impl<const N: usize> App<N> {
         matches!(self.state, State::Running { .. })
     }
 
-    /// The motor that was not heard for longest, and for how long.
+    /// The motor that was not heard for the longest time, and how long that is.
     pub(super) fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
         let silences = self.motors.iter().map(|motor| (Some(motor.id), motor.silence(now)));
         silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
     }
 
-    /// What it means that this motor is not heard. With it alone nobody can tell a bus from a motor that
-    /// is gone: whoever looks begins at the motor.
+    /// What to report if this motor is not heard. With a single motor nothing shows whether the motor or the bus is
+    /// gone. Then the motor is reported, since that is where to look first.
     pub(super) fn silent(&self, motor: MotorId, at: &Moment<'_, N, impl Board>) -> Trouble {
         let longest_wait = at.master.config().reply_timeout + ROUND;
         let is_bus = self.is_running()

@@ -1,4 +1,4 @@
-//! Questions that are put to one motor after the other.
+//! Questions to one motor after the other.
 
 use myactuator_protocol_core::command::{
     Command, CommunicationLossProtection, ErrorFlags, FunctionControl, LockBrake, ModelName,
@@ -14,14 +14,13 @@ use myactuator_protocol_core::{Data, MotorId};
 
 use super::Setup;
 
-/// How long a write, which may be one to ROM, is waited for. A second time does no harm here.
+/// How long to wait for a write, which may be one to ROM. Writing a second time does no harm here.
 const WRITE: Patience = Patience { reply_timeout: Duration::from_millis(50), attempts: 3 };
 
-/// For how long a shaft falls that nothing holds any more before it is looked at: it turns by then, and has not
-/// come far.
+/// How long after nothing holds a shaft any more it is checked: it turns by then, and has not fallen far.
 const FALLS: Duration = Duration::from_millis(50);
 
-/// What a motor is asked or told.
+/// A request to a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Question {
     VersionDate,
@@ -33,7 +32,7 @@ pub(super) enum Question {
     /// Output on, at rest.
     Hold,
     Angle,
-    /// Where it is, and is to begin.
+    /// Where it is, which is where it is to begin.
     Home,
     RunTime,
     LockBrake,
@@ -43,10 +42,10 @@ pub(super) enum Question {
     Off,
 }
 
-/// What came of it.
+/// Its outcome.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Answer {
-    /// None came, or none that can be read.
+    /// No answer came, or it cannot be read.
     None,
     /// It was done, or nothing is wrong.
     Done,
@@ -62,7 +61,7 @@ pub(super) enum Answer {
 }
 
 impl Question {
-    /// Puts it to a motor.
+    /// Sends it to a motor.
     pub(super) fn ask<const N: usize>(
         self,
         motor: MotorId,
@@ -79,7 +78,8 @@ impl Question {
                 master.request_with(motor, command, WRITE).map(|t| t.id())
             }
             Self::ErrorReports => {
-                // Nothing reads whether it is on, nor says that it is saved: so each time anew.
+                // No command reads whether it is on, and nothing says that it is saved. So it is set each
+                // time.
                 let command = FunctionControl::ErrorReporting(Switch::On);
                 master.request_with(motor, command, WRITE).map(|t| t.id())
             }
@@ -93,7 +93,7 @@ impl Question {
         }
     }
 
-    /// Reads the answer from an event, if it is that of this request.
+    /// Reads the answer from an event, if the event is the outcome of this request.
     pub(super) fn answer(self, ticket: TicketId, event: &Event) -> Option<Answer> {
         match event {
             Event::Reply { ticket: of, data, .. } if *of == ticket => {
@@ -121,7 +121,7 @@ impl Question {
             | Self::ErrorReports
             | Self::Hold
             | Self::ReleaseBrake
-            // The master sees in it whether the motor has restarted.
+            // The master sees in the run time whether the motor has restarted.
             | Self::RunTime
             | Self::LockBrake
             | Self::Stands
@@ -131,16 +131,18 @@ impl Question {
     }
 }
 
-/// Which questions a script puts.
+/// The questions of a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Find,
     Protect,
     ReportErrors,
-    /// A shaft whose brake is open falls unless its motor holds it, which one does not after a shutdown or a
-    /// restart of its own. It is told so at once, before the brake has opened: behind a locked one a stop may
-    /// do nothing. One with an error obeys the first and not the second: it is asked before, and again for what
-    /// came in between.
+    /// Opens the brake. The shaft then falls unless its motor holds it, which a motor does not do after a shutdown or a
+    /// restart.
+    ///
+    /// So the motor is told to hold right after the brake is told to open, before it is open: behind a locked brake a
+    /// stop may have no effect. A motor with an error opens its brake but does not hold. So its errors are read before,
+    /// and once more at the end.
     Release,
     Begin,
     Lock,
@@ -164,42 +166,42 @@ impl Part {
     }
 }
 
-/// How far a script is.
+/// What a script did in this cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
     Waiting,
-    /// The master does not take the question to this motor.
+    /// The master does not take the request to this motor.
     Refused(MotorId),
     Over,
 }
 
-/// The same questions to one motor after the other.
+/// A script: the same questions to one motor after the other.
 #[derive(Debug)]
 pub(super) struct Script {
     part: Part,
-    /// The next one to be asked.
+    /// Which question is next.
     next: usize,
-    /// Motors that have not answered all questions, the one that is being asked among them.
+    /// Motors that have not answered all questions, including the one that is being asked.
     left: MotorSet,
-    /// The one that was asked and has not answered.
+    /// The request in flight.
     asked: Option<TicketId>,
     not_before: Instant,
 }
 
 impl Script {
-    /// Who is there, with what, and how is it?
+    /// Which motors are there, what they are, and whether they report errors.
     pub(super) const fn find(motors: MotorSet, now: Instant) -> Self {
         Self::new(Part::Find, motors, now)
     }
 
-    /// What has to be done before a motor may run; [`next`](Self::next_of_preparing) says how it goes on.
-    /// One thing for all before the next for any, so that all brakes open at one time.
+    /// Begins to prepare these motors for running; [`next_of_preparing`](Self::next_of_preparing) returns what follows.
+    /// Each part is done for all motors before the next, so that all brakes open at the same time.
     pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
         Self::new(Part::Protect, motors, now)
     }
 
-    /// What comes next in preparing these motors. Where they are is asked last, once their brakes are
-    /// open, for a shaft may sink then; and whether none has restarted meanwhile, which closes its brake.
+    /// What follows in preparing these motors. Where they are is read last, once their brakes are open, since a shaft
+    /// may sink until then. So is whether a motor has restarted meanwhile, which locks its brake.
     pub(super) fn next_of_preparing(
         &self,
         setup: &Setup,
@@ -216,13 +218,13 @@ impl Script {
         }
     }
 
-    /// Lock the brakes, before the outputs are switched off: without power the shafts are free.
+    /// Locks the brakes before the outputs are switched off: without power the shafts are free.
     pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
         Self::new(Part::Lock, motors, now)
     }
 
-    /// What comes next in shutting down these motors: until the brakes hold, the outputs may have to. Those that
-    /// turn behind a brake, or without one once they are off, are to hold their loads again.
+    /// What follows in shutting down these motors. Until the brakes hold, the outputs may have to. Motors that turn
+    /// behind a locked brake, or without a brake once their output is off, are told to hold their loads again.
     pub(super) fn next_of_shutting_down(
         &self,
         motors: MotorSet,
@@ -238,7 +240,7 @@ impl Script {
         }
     }
 
-    /// When the shafts can be looked at if this shutdown is broken off now: whatever holds them then has begun to.
+    /// When the shafts can be checked if this shutdown is broken off now. What holds a shaft then has begun to.
     pub(super) fn shows_at(&self, now: Instant) -> Instant {
         match self.part {
             Part::Lock => now + BRAKE_MOVES,
@@ -246,7 +248,7 @@ impl Script {
         }
     }
 
-    /// Do the shafts of these motors stand? It goes on as a shutdown does.
+    /// Checks whether the shafts of these motors stand. It goes on as a shutdown does.
     pub(super) const fn look(motors: MotorSet, not_before: Instant) -> Self {
         Self::new(Part::Look, motors, not_before)
     }
@@ -255,7 +257,7 @@ impl Script {
         Self { part, next: 0, left: motors, asked: None, not_before }
     }
 
-    /// Asks the next question if nobody is being asked.
+    /// Asks the next question if none is in flight.
     pub(super) fn go_on<const N: usize>(
         &mut self,
         setup: &Setup,
@@ -277,7 +279,7 @@ impl Script {
         }
     }
 
-    /// The answer, if the event brings it. A motor with which anything is wrong is not asked further.
+    /// Returns the answer if the event brings it. If anything is wrong with a motor, it is asked nothing more.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let asked = self.asked?;
         let answer = self.part.questions().get(self.next)?.answer(asked, event)?;

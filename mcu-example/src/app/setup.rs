@@ -7,7 +7,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
 
-/// How the motors are moved: there and back, each from the place where it is when it gets ready.
+/// How the motors are moved: there and back. Each begins where it is when it gets ready.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Movement {
     /// In motion mode, which only CAN has.
@@ -19,9 +19,9 @@ pub enum Movement {
         /// Gain on the velocity error, N·m·s/rad.
         kd: f32,
     },
-    /// By positions (0xA4), on either bus.
+    /// By positions (0xA4), on both buses.
     Position {
-        /// The fastest turning.
+        /// The highest speed.
         max_speed: MaxSpeed,
     },
 }
@@ -29,31 +29,33 @@ pub enum Movement {
 /// What a product would set.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup {
-    /// Where motors are looked for. On RS485 an id that nobody has keeps the line for 80 ms at 1 Mbit/s
-    /// whenever it is stopped: beside more than seven of them a motor may hear too little to go on holding.
+    /// The ids that are searched. On RS485 each id without a motor occupies the line for 80 ms at 1 Mbit/s whenever it
+    /// is stopped. With more than seven of them, a motor may hear too little to go on holding.
     pub search: MotorSet,
-    /// Motors that must be there for any to run; they are looked for, too. Whoever has answered anything
-    /// since the firmware started must be there as well, whether it is named here or not; but after a
-    /// restart nothing else is known, and then an arm whose joint is missing starts unless this names it.
+    /// Motors that must be there before any runs. They are searched, too.
+    ///
+    /// A motor that has answered anything since the firmware started must be there as well, whether it is named here or
+    /// not. After a restart nothing else is known: an arm with a missing joint starts then, unless that joint is named
+    /// here.
     pub required: MotorSet,
     /// The firmware that all of them must have.
     pub firmware: Firmware,
-    /// A version date (0xB2) that is not known to be that firmware's, and that whoever makes the product has
-    /// tried with everything that stands here: the scales of motion mode above all.
+    /// A version date (0xB2) that is not known to be that firmware's, but that you have tried with everything that is
+    /// set here, the scales of motion mode above all.
     pub tried_version: Option<VersionDate>,
     /// How they are moved.
     pub movement: Movement,
-    /// How far they turn away from where they are when they get ready; to the other side if it is negative.
+    /// How far they turn from where they get ready; to the other side if negative.
     pub amplitude: Angle,
     /// How long it takes there and back.
     pub period: Duration,
     /// The cycle.
     pub cycle: Duration,
-    /// After how long without a command a motor cuts its output by itself (0xB3): 500 ms or more, for
-    /// beside motors that do not confirm a stop it may hear nothing for 400 ms.
+    /// After how long without a command a motor cuts its output on its own (0xB3). 500 ms or more: if other motors do
+    /// not confirm a stop, it may hear nothing for 400 ms.
     pub protection: Milliseconds,
-    /// Whether motors are told to report errors by themselves (0x20, function 3), which tells sooner than
-    /// asking them in turn does. Only on CAN: on RS485 such a report meets whatever else is on the line.
+    /// Whether motors are told to report errors on their own (0x20, function 3), which is faster than asking them in
+    /// turn. Only on CAN: on RS485 such a report collides with whatever else is on the line.
     pub error_reports: bool,
     /// How motors are stopped.
     pub stop: StopKind,
@@ -66,9 +68,9 @@ impl Setup {
             || self.tried_version == Some(version_date)
     }
 
-    /// Motors 1 to 8, those of them that are there, of firmware V4.3, moved to and fro by 20 degrees within
-    /// 2 s, 1000 set-points a second; stopped, they hold still. In motion mode, which is on CAN, they report
-    /// errors by themselves; who moves them by positions on CAN may set that, too.
+    /// The motors of ids 1 to 8 that are there, with firmware V4.3. They move there and back by 20 degrees within 2 s,
+    /// with 1000 set-points a second; stopped, they hold. In motion mode, which only CAN has, they report errors on
+    /// their own. If you move them by positions on CAN, you may set that, too.
     pub fn new(movement: Movement) -> Self {
         Self {
             search: MotorId::all().take(8).collect(),

@@ -32,7 +32,8 @@ pub(super) enum State {
         script: Script,
         turning: MotorSet,
     },
-    /// A shutdown was broken off: brakes were told to lock, behind which no motor holds, and may slip.
+    /// A shutdown was broken off. Some brakes were told to lock: behind a locked brake no motor holds, and the brake
+    /// may slip.
     Looking {
         script: Script,
         turning: MotorSet,
@@ -54,7 +55,7 @@ impl State {
         }
     }
 
-    /// The one that is under way.
+    /// The script of this state.
     pub(super) fn script(&mut self) -> Option<&mut Script> {
         match self {
             Self::Finding(script)

@@ -1,4 +1,4 @@
-//! How the motors are stopped, and what is seen to behind that.
+//! How the motors are stopped, and what follows a stop.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
@@ -10,21 +10,22 @@ use super::{App, Moment};
 use crate::board::Board;
 use crate::report::{Report, Trouble};
 
-/// How long a stop is waited for before whoever has not confirmed it is reported, and all are told to stop once
-/// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
-/// nothing else that the others could hear.
+/// How long motors may take to confirm a stop. After that the others are reported, and all are stopped once more. It is
+/// shorter than a protection: on RS485 the stops to motors that do not answer leave no room for anything else that the
+/// others could hear.
 const LONGEST_STOP: Duration = Duration::from_millis(400);
-/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Shorter
-/// than a protection, too.
+/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Also shorter
+/// than a protection.
 const STOP_AGAIN: Duration = Duration::from_millis(400);
-/// Whoever presses the button so soon after the motors were stopped by something else meant to stop them.
+/// A press this soon after the motors were stopped by something else was meant to stop them.
 pub(super) const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
 
 impl<const N: usize> App<N> {
-    /// Tells what is wrong and stops all motors. Where they are stopped already, only errors are told.
+    /// Reports what is wrong and stops all motors. If they are stopped already, only errors are reported.
     pub(super) fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
         if let Trouble::Errors { motor, .. } = trouble {
-            // Told before or not: it confirms a stop and holds nothing, and its brake may have been told to open.
+            // Whether it was reported before or not: the motor confirms a stop and holds nothing, and its brake may
+            // have been told to open.
             self.locks.want(motor);
             if self.failed.contains(motor) {
                 return;
@@ -34,11 +35,11 @@ impl<const N: usize> App<N> {
         let is_error = matches!(trouble, Trouble::Errors { .. });
         let goes_on = match self.state {
             State::Stopping { .. } | State::Stopped { .. } => true,
-            // Nothing else keeps those that turn from being held again.
+            // Nothing else keeps motors that turn from being told to hold again.
             State::Looking { .. } => {
                 !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. })
             }
-            // It has cut its output, and its brake is told to lock: the others are shut down all the same.
+            // The motor has cut its output, and its brake is told to lock. The others are still shut down.
             State::ShuttingDown { .. } => is_error,
             _ => false,
         };
@@ -53,12 +54,12 @@ impl<const N: usize> App<N> {
             self.may_start_at = at.now + STOPPED_BY_ITSELF;
         }
         match (&mut self.state, trouble) {
-            // It holds again once all were looked at.
+            // It is told to hold again once all shafts were checked.
             (
                 State::ShuttingDown { turning, .. } | State::Looking { turning, .. },
                 Trouble::Turns { motor },
             ) => turning.insert(motor),
-            // With a brake that is not locked, off is no stop; behind one that slips, nor is that.
+            // If a brake is not locked, off is no stop. If a locked brake slips, holding is none either.
             (State::ShuttingDown { script, .. }, _) => {
                 self.shows_at = script.shows_at(at.now);
                 self.unseen = self.expected;
@@ -70,7 +71,7 @@ impl<const N: usize> App<N> {
 
     pub(super) fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
         let all = self.known();
-        // Those that the master has no place for stay unconfirmed.
+        // Motors without a place in the master stay unconfirmed.
         let _ = at.master.stop_all(kind, all);
         let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
@@ -78,13 +79,13 @@ impl<const N: usize> App<N> {
         self.enter(State::Stopping { kind, waiting, unconfirmed, until }, at);
     }
 
-    /// One cycle in which motors are stopped, or were.
+    /// One cycle in which motors are stopped or being stopped.
     pub(super) fn go_on_stopping(&mut self, at: &mut Moment<'_, N, impl Board>) {
         match &mut self.state {
             State::Stopping { kind, waiting, unconfirmed, until } => {
                 let (kind, unconfirmed) = (*kind, waiting.with(*unconfirmed));
                 let is_over = waiting.is_empty() || at.now >= *until;
-                // Who has not confirmed it by then is not waited for: a load may fall.
+                // From then on motors that have not confirmed the stop are not waited for: a load may fall.
                 let is_looking =
                     (is_over || at.now >= self.shows_at) && self.look(kind, unconfirmed, at);
                 if is_over && !is_looking {
@@ -95,7 +96,7 @@ impl<const N: usize> App<N> {
                 let (kind, unconfirmed) = (*kind, *unconfirmed);
                 if !unconfirmed.is_empty() && at.now >= *again {
                     *again = at.now + STOP_AGAIN;
-                    // Those that the master has no place for stay unconfirmed.
+                    // Motors without a place in the master stay unconfirmed.
                     let _ = at.master.stop_all(kind, unconfirmed);
                 }
                 self.look(kind, unconfirmed, at);
@@ -124,8 +125,8 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// Where all are stopped, who may have let go is stopped once more: whoever has lost its master, or has restarted,
-    /// holds nothing until then, and may have confirmed a stop all the same.
+    /// If all are stopped, stops a motor once more that may have let go. A motor that has lost its master or restarted
+    /// holds nothing until then, although it may have confirmed a stop.
     pub(super) fn hold_again(&mut self, motor: MotorId, now: Instant) {
         if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
             unconfirmed.insert(motor);
@@ -133,8 +134,8 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// Looks at the shafts of those that have confirmed their stop, and that nobody has looked at since a shutdown was
-    /// broken off, however late that is: until then a load may fall. Whether there are any.
+    /// Begins to check the shafts of motors that have confirmed their stop and were not checked since a shutdown was
+    /// broken off, however late that is: until they are checked, a load may fall. Returns whether there are any.
     fn look(
         &mut self,
         kind: StopKind,
@@ -163,7 +164,7 @@ impl<const N: usize> App<N> {
         }
         at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
         self.rounds.doubt(unconfirmed);
-        // The unheard get their stop again, too: one whose replies are lost may hear it.
+        // Ids that were not heard are stopped again, too: a motor whose replies are lost may hear that.
         self.enter(State::Stopped { kind, unconfirmed, again: at.now }, at);
     }
 }
