@@ -1,18 +1,18 @@
-//! Tells the linker how to lay out the firmware. Here rather than in `.cargo/config.toml`, so that
-//! it holds for this package alone and however Cargo is called.
+//! Tells the linker how to lay out the firmware. It is here and not in `.cargo/config.toml`, so that it holds for this
+//! package only, and in whichever way Cargo is called.
 
 fn main() {
     println!("cargo::rerun-if-changed=memory.x");
-    // cortex-m-rt's link.x includes memory.x, which lies beside this file.
+    // cortex-m-rt's link.x includes memory.x, which is next to this file.
     println!("cargo::rustc-link-search={}", env!("CARGO_MANIFEST_DIR"));
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
-    // Sections of a microcontroller's flash are not aligned to the pages of an operating system.
+    // In a microcontroller's flash, sections are not aligned to the pages of an operating system.
     println!("cargo::rustc-link-arg-bins=--nmagic");
     #[cfg(feature = "c")]
     c();
 }
 
-/// The C that Rust is measured beside.
+/// The C that Rust is compared with.
 #[cfg(feature = "c")]
 fn c() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../c");

@@ -2,11 +2,11 @@
 
 fn main() {
     println!("cargo::rerun-if-changed=memory.x");
-    // cortex-m-rt's link.x includes memory.x, which lies beside this file.
+    // cortex-m-rt's link.x includes memory.x, which is next to this file.
     println!("cargo::rustc-link-search={}", env!("CARGO_MANIFEST_DIR"));
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
     // The texts of the log, which stay in the ELF file.
     println!("cargo::rustc-link-arg-bins=-Tdefmt.x");
-    // Sections of a microcontroller's flash are not aligned to the pages of an operating system.
+    // In a microcontroller's flash, sections are not aligned to the pages of an operating system.
     println!("cargo::rustc-link-arg-bins=--nmagic");
 }

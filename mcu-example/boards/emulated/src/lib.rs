@@ -1,16 +1,16 @@
-//! What the emulated boards share: the log's way out, a panic's way there, patience, and a fault.
+//! What the emulated boards share: the output of the log, the report of a panic, time-outs, and a fault.
 #![no_std]
 
 mod log;
 
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
-use panic_probe as _; // Tells a panic by the log, and ends in a fault.
+use panic_probe as _; // Logs a panic, and ends in a fault.
 
 const PATIENCE: Duration = Duration::from_millis(25);
 
-/// The same, but for time-outs. Emulated time is real time: what emulates board and drives may have
-/// something else to do for some milliseconds, and no reply is lost by that.
+/// The same, except for its time-outs. Emulated time is real time: the emulator and the simulated drives may be delayed
+/// by some milliseconds, and no reply may be lost by that.
 pub const fn patient(config: Config) -> Config {
     Config {
         reply_timeout: PATIENCE,
@@ -20,8 +20,8 @@ pub const fn patient(config: Config) -> Config {
     }
 }
 
-/// Does what the processor forbids.
+/// Raises a fault.
 pub fn fault() -> ! {
-    // SAFETY: nothing is touched, and nothing comes after it. Not 0, by which a panic ends.
+    // SAFETY: it touches nothing, and nothing follows it. Not `udf #0`, in which a panic ends.
     unsafe { core::arch::asm!("udf #1", options(noreturn)) }
 }

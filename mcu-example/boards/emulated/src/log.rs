@@ -1,7 +1,7 @@
-//! defmt's way out: by semihosting, one call a report.
+//! The output of defmt: semihosting, with one call for each report.
 //!
-//! The emulator stands still for each call, with interrupts off, and the motors wait; `defmt-semihosting`
-//! makes one for each byte.
+//! The emulator stops during each call, with interrupts off, and the motors wait. `defmt-semihosting` makes one call
+//! for each byte.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +11,7 @@ use critical_section::RestoreState;
 use defmt::Encoder;
 use heapless::Vec;
 
-/// More than any report here has; a longer one takes more than one call.
+/// Longer than any report here. A longer one takes more than one call.
 const REPORT_BYTES: usize = 128;
 
 #[defmt::global_logger]
@@ -22,7 +22,7 @@ struct Log {
     report: UnsafeCell<Report>,
 }
 
-/// Belongs to whoever has taken the log.
+/// Belongs to the holder of the log.
 struct Report {
     interrupts: RestoreState,
     encoder: Encoder,
@@ -44,15 +44,15 @@ unsafe impl Sync for Log {}
 
 impl Log {
     /// # Safety
-    /// The log has to be taken, and the report not be in use.
+    /// The log has to be taken, and the report must not be in use.
     #[expect(clippy::mut_from_ref, reason = "that is what taking it is for")]
     unsafe fn report(&self) -> &mut Report {
-        // SAFETY: the caller has it alone.
+        // SAFETY: the caller has exclusive access.
         unsafe { &mut *self.report.get() }
     }
 }
 
-// SAFETY: between `acquire` and `release` nobody else runs.
+// SAFETY: between `acquire` and `release` nothing else runs.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: `release` restores what this returns.
@@ -70,7 +70,7 @@ unsafe impl defmt::Logger for Logger {
         report.encoder.write(bytes, |bytes| push(&mut report.encoded, bytes));
     }
 
-    /// Nothing is left when a report is over.
+    /// Nothing is left to flush when a report is over.
     unsafe fn flush() {}
 
     unsafe fn release() {
@@ -95,7 +95,7 @@ fn push(encoded: &mut Vec<u8, REPORT_BYTES>, bytes: &[u8]) {
     }
 }
 
-/// What nobody takes is lost.
+/// Output that is not taken is lost.
 fn send(encoded: &mut Vec<u8, REPORT_BYTES>) {
     if let Ok(mut host) = hio::hstdout() {
         let _ = host.write_all(encoded);

@@ -9,11 +9,11 @@ use crate::device::UartId;
 use crate::uart::{Uart, received_on};
 use crate::watchdog::Watchdog;
 
-/// The board around the bus. Button and light are a panel on UART 2, a byte for each change: `B` the
-/// button goes down, `b` it comes up; `L` the light is on, `l` it is off.
+/// The board without its bus. Button and light are a panel on UART 2, with one byte for each change: `B` the button
+/// goes down, `b` it comes up; `L` the light is on, `l` it is off.
 ///
-/// More bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts off, `o`
-/// overflows the stack, `x` raises an exception that nobody handles.
+/// Other bytes break the firmware: `p` panics, `f` faults, `h` hangs with interrupts off, `o` overflows the stack, `x`
+/// raises an exception that has no handler.
 #[derive(Debug)]
 pub struct Mps2 {
     panel: Uart,
@@ -31,7 +31,7 @@ impl Mps2 {
 
 impl Board for Mps2 {
     fn is_button_down(&mut self) -> bool {
-        // One a call, so that no press is missed that is over already.
+        // One byte for each call, so that no press is missed that is over already.
         match self.panel.try_read() {
             Some(b'B') => self.is_button_down = true,
             Some(b'b') => self.is_button_down = false,
@@ -52,7 +52,7 @@ impl Board for Mps2 {
     }
 
     fn set_light(&mut self, on: bool) {
-        // A panel that takes nothing is told the next time.
+        // If the panel takes nothing now, it is told next time.
         if on != self.is_light_on && self.panel.try_write(if on { b"L" } else { b"l" }) == 1 {
             self.is_light_on = on;
         }

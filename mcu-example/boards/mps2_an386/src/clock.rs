@@ -1,4 +1,4 @@
-//! The time, and sleeping until it is time.
+//! The time, and sleeping until a given time.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -13,29 +13,28 @@ use crate::device::{
 use crate::tasks;
 
 const TICKS_A_MICRO: u32 = CLOCK_HZ / 1_000_000;
-/// Timer 0 begins again after 2^27 microseconds, or 134 seconds: the most that fits its 32 bits as whole
-/// microseconds, so that reading the time takes no division of 64 bits.
+/// Timer 0 wraps after 2^27 microseconds, or 134 seconds: the most whole microseconds that fit its 32 bits, so that
+/// reading the time takes no 64-bit division.
 const WRAP_BITS: u32 = 27;
 const RELOAD: u32 = (TICKS_A_MICRO << WRAP_BITS) - 1;
 
-/// The shortest sleep, for when it is time already: then what is to be sent waits for a bus that takes
-/// nothing, which an interrupt ends. A processor that polled instead would keep the emulator from serving
-/// the UART.
+/// The shortest sleep, used if the time has come already. Then what is to be sent waits for a bus that takes nothing,
+/// and an interrupt ends that. If the processor polled instead, the emulator would not serve the UART.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(50);
 /// The longest sleep. Its ticks fit 32 bits.
 const LONGEST_SLEEP: Duration = Duration::from_millis(100);
 
-/// How often timer 0 has begun again.
+/// How often timer 0 has wrapped.
 static WRAPS: AtomicU32 = AtomicU32::new(0);
-/// Something has happened since this was last looked at, so that there may be something to do.
+/// Something has happened since the last check, so there may be something to do.
 static HAS_HAPPENED: AtomicBool = AtomicBool::new(false);
 
 defmt::timestamp!("{=u64:us}", io::Clock::now(&Clock(())).as_micros());
 
 /// Microseconds since the start, from timer 0; timer 1 ends the sleep in [`idle`](io::Clock::idle).
 ///
-/// It never goes back. It would lose 134 seconds if interrupts were off for as long as that; the
-/// watchdog bites long before.
+/// It never goes back. It would lose 134 seconds if interrupts were off for that long, but the watchdog bites long
+/// before.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock(());
 
@@ -46,7 +45,7 @@ impl Clock {
         timer0().reload.set(RELOAD);
         timer0().value.set(RELOAD);
         timer0().control.write(control);
-        // Once only, each time; the first is for nothing.
+        // Timer 1 runs once for each value. The first has no use.
         timer1().reload.set(0);
         timer1().value.set(RELOAD);
         timer1().control.write(control);
@@ -54,7 +53,7 @@ impl Clock {
         Self(())
     }
 
-    /// Lets timer 1 wake whoever waits by then, at the latest.
+    /// Has timer 1 wake the waiting task at this time at the latest.
     pub(crate) fn wake_by(self, until: Instant) {
         let span = (until - io::Clock::now(&self)).min(LONGEST_SLEEP);
         let ticks = (span.as_micros() as u32 * TICKS_A_MICRO).max(1);
@@ -79,7 +78,7 @@ impl io::Clock for Clock {
             let ticks_left = timer0().value.get();
             let wraps = WRAPS.load(Ordering::Relaxed);
             if timer0().interrupt.is_set(TimerInterrupt::PENDING) {
-                // It has begun again, before or after it was read, and nobody has counted that yet.
+                // It has wrapped, before or after it was read, and that was not counted yet.
                 (wraps + 1, timer0().value.get())
             } else {
                 (wraps, ticks_left)
@@ -89,12 +88,11 @@ impl io::Clock for Clock {
         Instant::from_micros((u64::from(wraps) << WRAP_BITS) + u64::from(micros))
     }
 
-    /// Sleeps until then, or until a byte comes or leaves; for a moment also if it is time already.
+    /// Sleeps until then, or until a byte comes or leaves. Sleeps for a moment even if the time has come already.
     fn idle(&self, until: Instant) {
         let span = (until - self.now()).clamp(SHORTEST_SLEEP, LONGEST_SLEEP);
         let ticks = span.as_micros() as u32 * TICKS_A_MICRO;
-        // With interrupts off, so that none falls between the look and the sleep: a pending one ends
-        // the sleep all the same.
+        // With interrupts off, so that none falls between the check and the sleep. A pending one still ends the sleep.
         critical_section::with(|_| {
             if !HAS_HAPPENED.swap(false, Ordering::Relaxed) {
                 timer1().value.set(ticks);
@@ -104,14 +102,14 @@ impl io::Clock for Clock {
     }
 }
 
-/// Whoever sleeps has to look again. For interrupts.
+/// Has the sleeping loop or task check again. For interrupts.
 pub(crate) fn something_has_happened() {
     HAS_HAPPENED.store(true, Ordering::Relaxed);
     tasks::wake();
 }
 
-/// A byte was taken from a UART. QEMU offers it the next one only when something wakes the thread that
-/// serves its devices, which a processor that is busy does not do: setting a timer does.
+/// A byte was taken from a UART. QEMU offers the next one only when something wakes the thread that serves its devices.
+/// A busy processor does not do that, but setting a timer does.
 pub(crate) fn wake_emulator() {
     timer1().value.set(TICKS_A_MICRO);
 }

@@ -6,7 +6,7 @@ use cortex_m::peripheral::NVIC;
 use tock_registers::registers::{ReadOnly, ReadWrite, WriteOnly};
 use tock_registers::{register_bitfields, register_structs};
 
-/// What clocks processor and peripherals.
+/// The clock of processor and peripherals.
 pub(crate) const CLOCK_HZ: u32 = 25_000_000;
 
 register_bitfields![u32,
@@ -36,9 +36,9 @@ register_bitfields![u32,
         PENDING OFFSET(0) NUMBITS(1) []
     ],
     pub(crate) WatchdogControl [
-        /// Counts, and raises the non-maskable interrupt at the end.
+        /// Counts, and raises the non-maskable interrupt at its end.
         INTERRUPT OFFSET(0) NUMBITS(1) [],
-        /// Resets at the second end in a row.
+        /// Resets when it ends a second time in a row.
         RESET OFFSET(1) NUMBITS(1) []
     ],
 ];
@@ -52,7 +52,7 @@ register_structs! {
         (0x10 => pub(crate) bit_divisor: ReadWrite<u32>),
         (0x14 => @END),
     },
-    /// Counts down, and begins again from `reload`; once only if that is 0.
+    /// Counts down, and begins again from `reload`; if that is 0, it counts only once.
     pub(crate) TimerRegisters {
         (0x00 => pub(crate) control: ReadWrite<u32, TimerControl::Register>),
         (0x04 => pub(crate) value: ReadWrite<u32>),
@@ -64,7 +64,7 @@ register_structs! {
         (0x000 => pub(crate) load: ReadWrite<u32>),
         (0x004 => value: ReadOnly<u32>),
         (0x008 => pub(crate) control: ReadWrite<u32, WatchdogControl::Register>),
-        /// Any write begins the count again.
+        /// Any write restarts the count.
         (0x00C => pub(crate) clear: WriteOnly<u32>),
         (0x010 => _reserved),
         (0xC00 => pub(crate) lock: ReadWrite<u32>),
@@ -90,8 +90,7 @@ impl UartId {
             Self::Uart1 => 0x4000_5000,
             Self::Uart2 => 0x4000_6000,
         };
-        // SAFETY: a UART has its registers there, for ever, and they are accessed by volatile reads
-        // and writes only.
+        // SAFETY: a UART's registers are always at this address, and are only accessed by volatile reads and writes.
         unsafe { &*core::ptr::with_exposed_provenance(address) }
     }
 
@@ -110,7 +109,7 @@ pub(crate) fn timer0() -> &'static TimerRegisters {
     unsafe { &*core::ptr::with_exposed_provenance(0x4000_0000) }
 }
 
-/// Wakes.
+/// Wakes the processor.
 pub(crate) fn timer1() -> &'static TimerRegisters {
     // SAFETY: as for the UARTs.
     unsafe { &*core::ptr::with_exposed_provenance(0x4000_1000) }
@@ -121,7 +120,7 @@ pub(crate) fn watchdog() -> &'static WatchdogRegisters {
     unsafe { &*core::ptr::with_exposed_provenance(0x4000_8000) }
 }
 
-/// The interrupts of what is used here; the others are at 6, 7 and from 10 on.
+/// The interrupts of what is used here. The others are at 6, 7 and from 10 on.
 #[allow(clippy::upper_case_acronyms, missing_docs, reason = "the machine's names")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
@@ -136,17 +135,17 @@ pub(crate) enum Interrupt {
     TIMER1 = 9,
 }
 
-/// What `cortex_m_rt::interrupt` looks names up in.
+/// `cortex_m_rt::interrupt` looks names up in this.
 pub(crate) use Interrupt as interrupt;
 
-// SAFETY: these are the numbers that the machine's interrupts have.
+// SAFETY: these are the numbers of the machine's interrupts.
 unsafe impl InterruptNumber for Interrupt {
     fn number(self) -> u16 {
         self as u16
     }
 }
 
-/// From here on these interrupts are taken.
+/// Enables these interrupts.
 pub(crate) fn unmask(interrupts: &[Interrupt]) {
     for interrupt in interrupts {
         // SAFETY: no critical section here is made by masking single interrupts.

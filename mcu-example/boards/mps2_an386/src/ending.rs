@@ -17,7 +17,7 @@ use crate::clock::Clock;
 use crate::device::{UartControl, UartId, UartState};
 use crate::slcan;
 
-/// How a bus is spoken on.
+/// The kinds of bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bus {
     /// An RS485 line on UART 0.
@@ -27,7 +27,7 @@ pub enum Bus {
 }
 
 impl Bus {
-    /// The UART that it is on.
+    /// Its UART.
     pub const fn uart(self) -> UartId {
         match self {
             Self::Rs485 => UartId::Uart0,
@@ -35,8 +35,7 @@ impl Bus {
         }
     }
 
-    /// How long a motor may take to answer before the next command, where both share a line: as long as
-    /// the master waits.
+    /// How long to wait after a command for the motor's answer, where both share a line. As long as the master waits.
     const fn pause(self) -> Duration {
         match self {
             Self::Rs485 => Duration::from_millis(5),
@@ -54,7 +53,7 @@ struct LastWords {
 
 static LAST_WORDS: Mutex<Cell<Option<LastWords>>> = Mutex::new(Cell::new(None));
 
-/// From here on, whatever ends the firmware stops these motors on this bus first.
+/// From here on, the end of the firmware first stops these motors on this bus, whatever its cause.
 pub(crate) fn prepare_last_words(bus: Bus, motors: MotorSet, clock: Clock) {
     let words = LastWords { bus, motors, clock };
     critical_section::with(|cs| LAST_WORDS.borrow(cs).set(Some(words)));
@@ -78,7 +77,7 @@ struct Voice {
     is_stuck: bool,
 }
 
-/// A UART that takes no byte for so long is given up: a hundred times what one takes.
+/// A UART that takes no byte for this long is given up: a hundred times what one byte takes.
 const LONGEST_BYTE: Duration = Duration::from_millis(1);
 
 impl Voice {
@@ -101,7 +100,7 @@ impl Voice {
         self.clock.wait(self.bus.pause());
     }
 
-    /// What was under way is cut off in the middle: drives and adapter have to see its end.
+    /// What was being sent is cut off in the middle. Drives and adapter have to see its end.
     fn begin(&mut self) {
         self.bus
             .uart()
@@ -129,12 +128,12 @@ impl Voice {
     }
 }
 
-/// After a panic, which panic-probe has told, a fault, and whatever else nobody has expected.
+/// Runs after a panic, which panic-probe has logged, after a fault, and after an exception without a handler.
 extern "C" fn unexpected(at: u32) -> ! {
     end(cause_of_end(at))
 }
 
-/// The watchdog's first end is the non-maskable interrupt.
+/// When the watchdog ends the first time, it raises the non-maskable interrupt.
 extern "C" fn not_fed(_: u32) -> ! {
     end(RestartCause::Watchdog)
 }

@@ -1,8 +1,8 @@
 //! The firmware on an emulated board: QEMU's machine mps2-an386, a Cortex-M4F with Arm's Cortex-M System
 //! Design Kit around it.
 //!
-//! `cargo emulate mps2_an386 --bin rs485` runs it, as do `can`, `rs485_async` and `can_async`. It takes
-//! UARTs for wires:
+//! `cargo emulate mps2_an386 --bin rs485` runs it, as do `can`, `rs485_async` and `can_async`. Its UARTs stand for
+//! wires:
 //!
 //! | UART | what is on it |
 //! |---|---|
@@ -40,26 +40,27 @@ use watchdog::Watchdog;
 pub const SLCAN_LINE_RATE: u32 = 1_562_500;
 const PANEL_RATE: u32 = 115_200;
 
-/// What a program begins with.
+/// What a program gets at its start.
 #[derive(Debug)]
 pub struct Parts {
-    /// Why it starts.
+    /// Why the firmware starts.
     pub cause: RestartCause,
     /// The time.
     pub clock: Clock,
     /// The UART of its bus.
     pub uart: Uart,
-    /// Button, light, watchdog, log.
+    /// Button, light, watchdog and log.
     pub board: Mps2,
 }
 
 /// Starts what every program here needs. Call it first, and once.
 ///
-/// From here on whatever ends the program stops this setup's motors on this bus, and the watchdog runs.
+/// From here on the watchdog runs, and the end of the program stops this setup's motors on this bus, whatever its
+/// cause.
 pub fn start(bus: Bus, bit_rate: u32, setup: &Setup) -> Parts {
     let cause = board_shared::take_note().unwrap_or(RestartCause::Power);
     if let Some(mut core) = cortex_m::Peripherals::take() {
-        // Below RAM there is a device that takes all and does nothing.
+        // Below RAM there is a device that accepts any access and does nothing.
         board_shared::guard_stack(&mut core.MPU);
     }
     let clock = Clock::start();

@@ -16,33 +16,31 @@ use self::text::{Answer, LONGEST_LINE, Reader};
 use crate::clock::Clock;
 use crate::uart::Uart;
 
-/// As many frames as an adapter may hold that it has not answered yet. What it holds when the bus is cut
-/// is sent when the bus is back, so these are few.
+/// How many frames an adapter may hold that it has not answered yet. What it holds when the bus is cut is sent when the
+/// bus is back, so these are few.
 const MOST_UNANSWERED: u8 = 8;
-/// An adapter that refuses a frame is left alone for so long: its queue is full, or its bus carries
-/// nothing.
+/// An adapter that refuses a frame is given none for this long: its queue is full, or its bus carries nothing.
 const REFUSED_PAUSE: Duration = Duration::from_millis(1);
-/// How long an adapter may take to answer while it is opened. Four of these are less than the watchdog's
-/// time; an answer that comes later does no harm.
+/// How long an adapter may take to answer while it is opened. Four times this is less than the watchdog's time-out. An
+/// answer that comes later does no harm.
 const ANSWER_TIME: Duration = Duration::from_millis(25);
-/// Then what is unanswered never will be: the answers were lost, or the adapter was.
+/// After this long what is unanswered stays so: the answers were lost, or the adapter is gone.
 const FORGIVEN_AFTER: Duration = Duration::from_millis(100);
-/// A UART that takes nothing for so long holds stale frames.
+/// A UART that takes nothing for this long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 
 /// A CAN bus behind an SLCAN adapter.
 ///
-/// A full queue, the adapter's or the UART's, is [`WouldBlock`](nb::Error::WouldBlock), and no call
-/// waits. The adapter has to answer each frame, as Lawicel's do; one that answers nothing takes
-/// eight frames in 100 ms.
+/// If the adapter's or the UART's queue is full, this is [`WouldBlock`](nb::Error::WouldBlock); no call waits. The
+/// adapter has to answer each frame, as Lawicel's do. One that answers nothing takes eight frames in 100 ms.
 #[derive(Debug)]
 pub struct Slcan {
     uart: Uart,
     clock: Clock,
     reader: Reader,
-    /// Frames that the adapter was given and has neither accepted nor refused.
+    /// Frames that the adapter has neither accepted nor refused yet.
     unanswered: u8,
-    /// When it was given a frame, or answered one, last.
+    /// When it last got or answered a frame.
     last_sign: Instant,
     not_before: Instant,
     stalled_since: Option<Instant>,
@@ -67,10 +65,10 @@ impl embedded_can::Error for Stalled {
 }
 
 impl Slcan {
-    /// Puts the adapter on the bus, at 1 Mbit/s. Takes 0.1 s where nothing answers.
+    /// Puts the adapter on the bus, at 1 Mbit/s. Takes 0.1 s if nothing answers.
     ///
-    /// Whatever it answers, there is no more that could be done: motors behind an adapter that is not
-    /// there do not answer.
+    /// Its answers are not checked, since nothing more could be done: motors behind an adapter that is not there do not
+    /// answer.
     pub fn open(uart: Uart, clock: Clock) -> Self {
         let now = clock.now();
         let mut slcan = Self {
@@ -82,7 +80,7 @@ impl Slcan {
             not_before: now,
             stalled_since: None,
         };
-        // The first two end what an earlier firmware left: a line, and a channel that is open. An
+        // The first two end what an earlier firmware left: a line that had begun, and a channel that is open. An
         // adapter that is closed refuses to be closed.
         for command in [b"\r".as_slice(), b"C\r", b"S8\r", b"O\r"] {
             slcan.set_up(command);
@@ -102,7 +100,7 @@ impl Slcan {
         while self.clock.now() < until {
             match self.next_answer() {
                 Some(Answer::Done | Answer::Refused) => return,
-                // A frame from the bus, or the answer to one of an earlier firmware's.
+                // A frame from the bus, or the answer to an earlier firmware's frame.
                 Some(_) => {}
                 None => self.clock.idle(until),
             }
@@ -119,7 +117,7 @@ impl Slcan {
         }
     }
 
-    /// Whether the adapter can be given a frame now.
+    /// Whether the adapter can take a frame now.
     fn is_ready(&mut self, now: Instant) -> bool {
         if now - self.last_sign > FORGIVEN_AFTER {
             self.unanswered = 0;

@@ -1,4 +1,4 @@
-//! Waiting as a task: what the async programs have beside the others.
+//! Waiting as a task, for the async programs.
 
 use core::future::poll_fn;
 use core::task::Poll;
@@ -12,19 +12,19 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use crate::clock::Clock;
 use crate::slcan::{self, Slcan};
 
-/// The one task that waits, for a byte, for room or for the time: whatever interrupt comes wakes it,
-/// and it looks at everything that it waits for again.
+/// The one task that waits for a byte, for room or for the time. Any interrupt wakes it, and it checks again everything
+/// that it waits for.
 static TASK: AtomicWaker = AtomicWaker::new();
 
-/// For interrupts.
+/// Wakes it. For interrupts.
 pub(crate) fn wake() {
     TASK.wake();
 }
 
-/// Waits until a look finds something. The task looks whenever something has happened.
+/// Waits until a check finds something. The task checks whenever something has happened.
 pub(crate) async fn until_found<T>(mut look: impl FnMut() -> Option<T>) -> T {
     poll_fn(|context| {
-        // Before the look, so that nothing falls between the two.
+        // Before the check, so that nothing falls between the two.
         TASK.register(context.waker());
         look().map_or(Poll::Pending, Poll::Ready)
     })
@@ -45,8 +45,7 @@ impl AsyncClock for Clock {
     }
 }
 
-/// How soon the adapter is asked again that took nothing: some of what it waits for is over by time
-/// alone.
+/// How soon to try again with an adapter that took nothing: some of what it waits for ends only with time.
 const ASK_AGAIN_AFTER: Duration = Duration::from_millis(1);
 
 impl AsyncCan for Slcan {

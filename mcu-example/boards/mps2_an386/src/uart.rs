@@ -15,11 +15,11 @@ use self::carrier::Carrier;
 use crate::clock::Clock;
 use crate::device::{CLOCK_HZ, UartControl, UartId, UartState, unmask};
 
-/// Received bytes that wait to be read: a millisecond and a half at 1.5 Mbit/s.
+/// Room for received bytes: a millisecond and a half at 1.5 Mbit/s.
 const RECEIVED: usize = 256;
-/// Written bytes that wait to leave: two lines of SLCAN, or four frames of RS485.
+/// Room for bytes to send: two lines of SLCAN, or four frames of RS485.
 const UNSENT: usize = 64;
-/// A UART that sends nothing for so long never will.
+/// A UART that sends nothing for this long never will.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 const BITS_A_BYTE: u32 = 10;
 
@@ -39,11 +39,11 @@ impl Queues {
 
 /// A UART, 8N1.
 ///
-/// Bytes that are lost because nobody took them in time, by the hardware or here, are counted and
-/// otherwise passed over: reading never reports an error. A lost byte costs the frame that it belonged
-/// to, which that frame's check finds and the master's next attempt mends; but an error is for the
-/// master a bus that is down, and it would give up what is under way with every motor. This UART finds
-/// no other errors of the line: disturbed bytes are the frame's check's affair as well.
+/// Bytes that are lost because they were not taken in time, by the hardware or here, are counted and otherwise ignored:
+/// reading never reports an error. A lost byte costs the frame that it belonged to. That frame's checksum shows it, and
+/// the master asks again. An error, on the other hand, means to the master that the bus is down, and it would give up
+/// what is in flight with every motor. This UART detects no other errors of the line; disturbed bytes are found by the
+/// checksum as well.
 pub struct Uart {
     id: UartId,
     clock: Clock,
@@ -52,7 +52,7 @@ pub struct Uart {
     unsent: Producer<'static, u8, UNSENT>,
 }
 
-/// The bytes that were written did not leave.
+/// The bytes that were written were not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stalled;
 
@@ -71,13 +71,13 @@ impl embedded_io::Error for Stalled {
 }
 
 impl Uart {
-    /// Sets a UART up, at this bit rate as nearly as its clock allows. Call it once for each.
+    /// Sets a UART up, with the bit rate as close as its clock allows. Call it once for each.
     pub fn start(id: UartId, bit_rate: u32, clock: Clock, queues: &'static mut Queues) -> Self {
         let (into_received, received) = queues.received.split();
         let (unsent, from_unsent) = queues.unsent.split();
         Carrier::put_in_place(id, into_received, from_unsent);
 
-        // The smallest that the hardware takes.
+        // The smallest that the hardware accepts.
         let divisor = (CLOCK_HZ / bit_rate.max(1)).max(16);
         let byte_micros = (BITS_A_BYTE * divisor).div_ceil(CLOCK_HZ / 1_000_000);
         let registers = id.registers();
@@ -106,7 +106,7 @@ impl Uart {
     /// Writes as much as there is room for, without waiting.
     pub fn try_write(&mut self, bytes: &[u8]) -> usize {
         let taken = bytes.iter().take_while(|&&byte| self.unsent.enqueue(byte).is_ok()).count();
-        // The interrupt for sending comes only after a byte has left.
+        // The interrupt for sending comes only after a byte was sent.
         carrier::carry(self.id);
         taken
     }
@@ -117,12 +117,12 @@ impl Uart {
         self.received.dequeue()
     }
 
-    /// Drops what was written and has not left yet.
+    /// Drops what was written and not sent yet.
     pub fn discard_unsent(&mut self) {
         carrier::discard_unsent(self.id);
     }
 
-    /// Takes what was received and fits, without waiting.
+    /// Reads as many received bytes as fit, without waiting.
     fn take_received(&mut self, buf: &mut [u8]) -> usize {
         carrier::note_waiting(self.id, self.received.len());
         let bytes = core::iter::from_fn(|| self.received.dequeue());
@@ -133,7 +133,7 @@ impl Uart {
         self.unsent.len() == 0 && !self.id.registers().state.is_set(UartState::TX_FULL)
     }
 
-    /// Waits for bytes to leave, but not for ever: then the rest is dropped, for it is stale.
+    /// Waits until bytes are sent, but not forever. After that the rest is dropped, since it is stale.
     fn wait_until(&mut self, is_over: impl Fn(&Self) -> bool) -> Result<(), Stalled> {
         let (mut left, mut since) = (self.unsent.len(), self.clock.now());
         while !is_over(self) {
@@ -149,7 +149,7 @@ impl Uart {
     }
 }
 
-/// The most received bytes that have waited, and how many were lost.
+/// The most received bytes that were queued, and how many were lost.
 pub(crate) fn received_on(id: UartId) -> (u32, u32) {
     (carrier::most_waiting(id), carrier::lost(id))
 }
@@ -191,10 +191,10 @@ impl Write for Uart {
         Ok(self.try_write(buf))
     }
 
-    /// Waits until the last byte has left.
+    /// Waits until the last byte was sent.
     fn flush(&mut self) -> Result<(), Stalled> {
         self.wait_until(Self::has_sent)?;
-        // The UART's buffer is empty as soon as its last byte begins to leave.
+        // The UART's buffer is empty as soon as it begins to send its last byte.
         self.clock.wait(self.byte_time);
         Ok(())
     }

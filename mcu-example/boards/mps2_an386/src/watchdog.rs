@@ -4,8 +4,8 @@ use tock_registers::interfaces::Writeable;
 
 use crate::device::{CLOCK_HZ, WatchdogControl, watchdog};
 
-/// It bites after so long: the non-maskable interrupt comes, which ends the firmware. Should even that
-/// hang, the same time again is left until the reset.
+/// After this time the watchdog raises the non-maskable interrupt, which ends the firmware. If even that hangs, a reset
+/// follows after the same time again.
 const BITES_AFTER_MS: u32 = 200;
 const UNLOCKED: u32 = 0x1ACC_E551;
 const LOCKED: u32 = 0;
@@ -15,7 +15,7 @@ const LOCKED: u32 = 0;
 pub(crate) struct Watchdog(());
 
 impl Watchdog {
-    /// Nothing but a reset stops it again.
+    /// Starts it. Only a reset stops it again.
     pub(crate) fn start() -> Self {
         let registers = watchdog();
         registers.lock.set(UNLOCKED);
@@ -25,9 +25,9 @@ impl Watchdog {
         Self(())
     }
 
-    /// Begins its time again.
+    /// Restarts its time.
     pub(crate) fn feed(&mut self) {
-        // Locked at all other times, so that a program that runs wild does not feed it.
+        // It is locked at all other times, so that a program out of control does not feed it.
         watchdog().lock.set(UNLOCKED);
         watchdog().clear.set(0);
         watchdog().lock.set(LOCKED);

@@ -10,7 +10,7 @@ use crate::panel::Panel;
 
 /// Bit rate of the line, bit/s.
 pub const BIT_RATE: u32 = 1_000_000;
-/// With what the emulator clocks its timers, whatever the clock controller is told.
+/// The clock of the emulator's timers, whatever the clock controller is set to.
 const TIMER_CLOCKS: TimerClocks = TimerClocks { tim2: 1_000, systick: 168 };
 
 /// What a program here works with.
@@ -26,7 +26,7 @@ pub struct Hardware {
     pub cause: RestartCause,
 }
 
-/// Sets everything up. To be called once.
+/// Sets everything up. Call it once.
 ///
 /// # Panics
 /// If it is called twice.

@@ -1,4 +1,4 @@
-//! The panel behind USART2: a byte each way for what happens.
+//! The panel on USART2: one byte in each direction for each event.
 
 use core::hint::black_box;
 
@@ -11,8 +11,8 @@ use stm32f4xx_hal::serial::{Config, Serial};
 
 /// A button, a light, and ways to break the firmware.
 ///
-/// From outside: `B` the button goes down, `b` it comes up; `p` panic, `f` fault, `h` hang with interrupts
-/// off, `o` overflow the stack, `x` an exception that nobody handles. To outside: `L` the light goes on, `l` it goes off.
+/// Input: `B` the button goes down, `b` it comes up; `p` panic, `f` fault, `h` hang with interrupts off, `o` overflow
+/// the stack, `x` an exception that has no handler. Output: `L` the light goes on, `l` it goes off.
 #[expect(missing_debug_implementations, reason = "the HAL's USART has none")]
 pub struct Panel {
     serial: Serial<USART2>,
@@ -21,15 +21,14 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// Opens it, with the button up and the light off. `None` if the USART's clock does not allow for
-    /// its bit rate.
+    /// Opens it, with the button up and the light off. `None` if the USART's clock does not allow its bit rate.
     pub fn open(usart: USART2, pins: (PA2, PA3), rcc: &mut Rcc) -> Option<Self> {
         let config = Config::default().baudrate(115_200.bps());
         let serial = Serial::new(usart, pins, config, rcc).ok()?;
         Some(Self { serial, is_down: false, is_on: false })
     }
 
-    /// Does what came from outside, and returns whether the button is down.
+    /// Carries out what came in, and returns whether the button is down.
     pub(crate) fn look(&mut self) -> bool {
         while let Ok(byte) = self.serial.read() {
             match byte {
@@ -46,9 +45,9 @@ impl Panel {
         self.is_down
     }
 
-    /// Tells of the light if it changes.
+    /// Reports the light if it changes.
     pub(crate) fn show(&mut self, on: bool) {
-        // A register that is full, which it never is here, is told in the next cycle.
+        // If the register is full, which does not happen here, the light is reported in the next cycle.
         if on != self.is_on && self.serial.write(if on { b'L' } else { b'l' }).is_ok() {
             self.is_on = on;
         }

@@ -1,9 +1,9 @@
 //! Clock and pins, button, light and watchdog.
 
 use board_stm32f4::{TimeBase, TimerClocks, line_usage};
-use defmt_rtt as _; // The log's way out.
+use defmt_rtt as _; // The output of the log.
 use myactuator_mcu_example::{Board, Report, RestartCause, Usage};
-use panic_probe as _; // Tells a panic by it, and ends in a fault.
+use panic_probe as _; // Logs a panic, and ends in a fault.
 use stm32f4xx_hal::gpio::{Input, Output, PA5, PA8, PA9, PA10, PB8, PB9, PC13};
 use stm32f4xx_hal::pac::{self, CAN1, RCC, USART1};
 use stm32f4xx_hal::prelude::*;
@@ -14,7 +14,7 @@ use crate::can::{can_usage, take_can_errors};
 
 /// Bit rate of the RS485 line, bit/s.
 pub const BIT_RATE: u32 = 115_200;
-/// The watchdog's own oscillator has 17 to 47 kHz, 32 kHz on paper: so this is 136 to 376 ms.
+/// The watchdog's own oscillator has 17 to 47 kHz, nominally 32 kHz: so this is 136 to 376 ms.
 const WATCHDOG_MS: u32 = 200;
 
 /// What a program here works with: one of the buses, and the rest.
@@ -24,7 +24,7 @@ pub struct Hardware {
     pub rcc: Rcc,
     /// The time.
     pub time: TimeBase,
-    /// Button, light and watchdog. The watchdog runs already.
+    /// Button, light and watchdog. The watchdog is already running.
     pub board: Nucleo,
     /// Why the firmware started.
     pub cause: RestartCause,
@@ -34,7 +34,7 @@ pub struct Hardware {
     pub can: (CAN1, (PB9, PB8)),
 }
 
-/// Sets everything up but the bus. To be called once.
+/// Sets everything up except the bus. Call it once.
 ///
 /// # Panics
 /// If it is called twice.
@@ -43,7 +43,7 @@ pub fn start() -> Hardware {
     let chip = pac::Peripherals::take().expect("start is called once");
     let cause = take_cause(&chip.RCC);
 
-    // The ST-LINK's 8 MHz, which are a crystal's: the chip's own oscillator is not exact enough for CAN.
+    // The ST-LINK's 8 MHz come from a crystal. The chip's own oscillator is not exact enough for CAN.
     let clocks = Config::hse(8.MHz()).bypass_hse_oscillator();
     let clocks = clocks.sysclk(180.MHz()).pclk1(45.MHz()).pclk2(90.MHz());
     let mut rcc = chip.RCC.freeze(clocks);
@@ -57,7 +57,7 @@ pub fn start() -> Hardware {
     // The log is read while the processor sleeps, too.
     chip.DBGMCU.cr().modify(|_, w| w.dbg_sleep().set_bit());
     let mut watchdog = IndependentWatchdog::new(chip.IWDG);
-    // Or a breakpoint would be the last thing that is seen.
+    // Otherwise a breakpoint would end in a reset.
     watchdog.stop_on_debug(&chip.DBGMCU, true);
     watchdog.start(WATCHDOG_MS.millis());
     let board =
@@ -67,8 +67,8 @@ pub fn start() -> Hardware {
     Hardware { rcc, time, board, cause, usart, can }
 }
 
-/// What the firmware has noted before it restarted itself, or the chip. What the chip says is cleared, or
-/// it would say it again after the next start.
+/// The cause that the firmware noted before it restarted itself, or that the chip reports. The chip's flags are
+/// cleared, or they would be reported again after the next start.
 fn take_cause(rcc: &RCC) -> RestartCause {
     let was_watchdog = rcc.csr().read().wdgrstf().bit_is_set();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
@@ -108,7 +108,7 @@ impl Board for Nucleo {
         }
     }
 
-    /// Of the bus that is open; the other has nothing to tell.
+    /// Of the bus that is open. The other has nothing to report.
     fn usage(&mut self) -> Usage {
         let (line, can) = (line_usage(), can_usage());
         Usage {

@@ -1,12 +1,12 @@
-//! The firmware on ST's board NUCLEO-F446RE. README.md beside `src/` says what to wire and to type, and
-//! what to look at when nothing answers. **It was never run on a real board.**
+//! The firmware on ST's board NUCLEO-F446RE. README.md next to `src/` says how to wire and run it, and what to check
+//! when nothing answers. **It was never run on a real board.**
 //!
 //! | module | what it is |
 //! |---|---|
 //! | `board` | [`start`]: clock and pins; [`Nucleo`]: button, light, watchdog, log |
 //! | `can` | [`open_can`]: the CAN controller as a port; [`run_can`]: the application on it, and its end |
 //!
-//! What it has in common with other STM32F4, the RS485 line among it, is in `board_stm32f4`.
+//! What it shares with other boards with an STM32F4, such as the RS485 line, is in `board_stm32f4`.
 #![no_std]
 
 mod board;

@@ -10,10 +10,10 @@ use myactuator_mcu_example::{Board, Report, Usage};
 
 use crate::{fdcan, serial};
 
-/// The watchdog's patience. The oscillator that times it is off by up to a twentieth.
+/// The watchdog's time-out. Its oscillator is off by up to 5 %.
 const WATCHDOG_MICROS: u32 = 200_000;
 
-/// What the board has beside its bus.
+/// What the board has besides its bus.
 pub struct Nucleo {
     button: Input<'static>,
     light: Output<'static>,
@@ -61,7 +61,7 @@ impl Board for Nucleo {
         defmt::info!("{}", report);
     }
 
-    /// Of the bus that is open; the other has nothing to tell.
+    /// Of the bus that is open. The other has nothing to report.
     fn usage(&mut self) -> Usage {
         let can = fdcan::usage();
         Usage {

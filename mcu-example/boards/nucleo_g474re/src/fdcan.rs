@@ -14,14 +14,14 @@ use embedded_can::ErrorKind;
 use myactuator_mcu_example::Usage;
 use myactuator_protocol_core::io::AsyncCan;
 
-/// Bits a second.
+/// Bit rate, bit/s.
 pub const BIT_RATE: u32 = 1_000_000;
 
-/// A controller that takes nothing for so long has nobody who listens to it. Sooner than the loop
-/// gives up on it, which would leave what is pending in the controller.
+/// A controller that takes nothing for this long is on a bus where no other node listens. It is less than the time
+/// after which the loop gives up, which would leave pending frames in the controller.
 const STUCK_AFTER: Duration = Duration::from_millis(10);
 
-/// Whether the controller takes part in the bus, so that last words may be sent by it.
+/// Whether the controller takes part in the bus, so that last words can be sent by it.
 pub(crate) static TAKES_PART: AtomicBool = AtomicBool::new(false);
 
 bind_interrupts!(struct Irqs {
@@ -32,9 +32,9 @@ bind_interrupts!(struct Irqs {
 /// Why the bus is down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub enum BusDown {
-    /// The controller has switched itself off after too many errors. It comes back by itself.
+    /// The controller has switched itself off after too many errors. It comes back on its own.
     Off,
-    /// The controller gets no frame onto the bus: nobody acknowledges.
+    /// The controller gets no frame onto the bus: nothing acknowledges.
     TakesNothing,
 }
 
@@ -44,14 +44,14 @@ impl embedded_can::Error for BusDown {
     }
 }
 
-/// The controller, as the async loop wants it.
+/// The controller, for the async loop.
 ///
-/// Where the bus is down, what the controller has not sent yet is thrown away: it would leave whenever
-/// the bus comes back, and move a motor long after everything was stopped.
+/// When the bus is down, what the controller has not sent yet is dropped. Otherwise it would be sent whenever the bus
+/// comes back, and move a motor long after everything was stopped.
 pub struct FdCan {
     can: Can<'static>,
-    /// Since when the controller takes nothing. The loop gives up sooner, to see what was received, and
-    /// offers something again.
+    /// Since when the controller takes nothing. The loop itself gives up a call sooner, to see what was received, and
+    /// calls again.
     stuck_since: Option<Instant>,
 }
 
@@ -65,10 +65,10 @@ impl FdCan {
         let mut configurator = CanConfigurator::new(controller, rx, tx, Irqs);
         configurator.set_bitrate(BIT_RATE);
         let mut config = configurator.config();
-        // First in, first out: by priority, which is the driver's default, a stop could overtake an
-        // older set-point, which would then follow it.
+        // First in, first out. By priority, the driver's default, a stop could overtake an older set-point, which would
+        // then follow it.
         config.tx_buffer_mode = TxBufferMode::Fifo;
-        // By `discard_pending`, not by the driver, which would go on with what was pending.
+        // `discard_pending` does this. The driver would go on with what was pending.
         config.automatic_bus_off_recovery = false;
         configurator.set_config(config);
         let can = configurator.start(OperatingMode::NormalOperationMode);
@@ -106,7 +106,7 @@ impl AsyncCan for FdCan {
                 discard_pending();
                 return Err(BusDown::Off);
             }
-            // An error is the driver's note of one disturbed frame, which whoever sent it sends again.
+            // An error is the driver's report of one disturbed frame, which its sender sends again.
             if let Ok(envelope) = self.can.read().await {
                 note_received();
                 return Ok(envelope.frame);
@@ -115,8 +115,7 @@ impl AsyncCan for FdCan {
     }
 }
 
-/// The most frames that have waited in the controller, which has three places for them, and how often it
-/// had none.
+/// The most frames that were waiting in the controller, which has room for three, and how often it had no room.
 static MOST: AtomicU32 = AtomicU32::new(0);
 static DROPPED: AtomicU32 = AtomicU32::new(0);
 
@@ -131,7 +130,7 @@ fn note_received() {
     }
 }
 
-/// The controller's part of what the board tells of itself: frames.
+/// The controller's part of the board's usage, in frames.
 pub(crate) fn usage() -> Usage {
     Usage {
         queued: MOST.load(Ordering::Relaxed),
@@ -140,21 +139,21 @@ pub(crate) fn usage() -> Usage {
     }
 }
 
-/// Whether the controller has switched itself off: nobody else does, once it runs.
+/// Whether the controller has switched itself off. Nothing else switches it off while it runs.
 pub(crate) fn is_off() -> bool {
     pac::FDCAN1.cccr().read().init()
 }
 
-/// How often a bit is looked at that the controller sets within a few cycles of its own clock.
+/// How often to poll a bit that the controller sets within a few cycles of its own clock.
 const LOOKS: u32 = 10_000;
 
-/// Throws away what the controller has not sent and not handed over yet, and lets it take part in the
+/// Drops what the controller has not sent, and what it has received and not handed over. Then lets it take part in the
 /// bus again as soon as that is quiet: after bus-off, 128 times eleven recessive bits.
 pub(crate) fn discard_pending() {
     let cccr = pac::FDCAN1.cccr();
     cccr.modify(|w| w.set_init(true));
     let _ = (0..LOOKS).any(|_| cccr.read().init());
-    // Resets, beside what it allows, all queues and requests (reference manual RM0440, 44.3.2).
+    // This also resets all queues and requests (reference manual RM0440, 44.3.2).
     cccr.modify(|w| w.set_cce(true));
     let _ = (0..LOOKS).any(|_| cccr.read().cce());
     cccr.modify(|w| w.set_cce(false));

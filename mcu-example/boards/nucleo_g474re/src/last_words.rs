@@ -1,5 +1,5 @@
-//! What a firmware that cannot go on still says on its bus, by looking at registers: no interrupt, no
-//! lock, no heap, and in a bounded time.
+//! The last frames of a firmware that cannot go on. They are sent by polling registers: no interrupt, no lock, no heap,
+//! and in a bounded time.
 
 use core::sync::atomic::Ordering;
 
@@ -13,11 +13,11 @@ use myactuator_protocol_core::wire::{can, rs485};
 use crate::start::CORE_HZ;
 use crate::{fdcan, motors, serial};
 
-/// What a debugger needs to fetch the end of the log: the restart begins a new one.
+/// The time that a debugger needs to fetch the end of the log: the restart begins a new one.
 const FETCH_MICROS: u32 = 50_000;
 
-// A panic is told by panic-probe, and ends in a fault. Two errors in one word of the flash are a
-// non-maskable interrupt, which nobody handles.
+// panic-probe logs a panic, and ends in a fault. Two errors in one word of the flash raise the non-maskable interrupt,
+// which has no handler.
 on_fresh_stack!(HardFault, DefaultHandler => end);
 
 extern "C" fn end(at: u32) -> ! {
@@ -25,9 +25,9 @@ extern "C" fn end(at: u32) -> ! {
     restart(cause_of_end(at), motors(), |packet| mouth.say(packet), || pause(FETCH_MICROS))
 }
 
-/// Where the last words go.
+/// Where the last words are sent.
 enum Mouth {
-    /// Nothing was said yet.
+    /// Nothing was sent yet.
     Closed,
     Can,
     Rs485,
@@ -51,16 +51,17 @@ impl Mouth {
     }
 
     fn open() -> Self {
-        // All of it takes less than the watchdog's patience, counted from here.
+        // Everything takes less than the watchdog's time-out, counted from here.
         pac::IWDG.kr().write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
         if fdcan::TAKES_PART.load(Ordering::Relaxed) {
-            // What is pending may leave, but not later than now. A controller that is off is let back.
+            // Pending frames may still be sent, but not later than this. A controller that is off is let back onto the
+            // bus.
             if fdcan::is_off() || !wait_for(2_000, is_queue_empty) {
                 fdcan::discard_pending();
             }
             Self::Can
         } else if serial::IS_SET_UP.load(Ordering::Relaxed) {
-            // The rest of a command, and the answer to it.
+            // Waits for the rest of a command, and for its answer.
             wait_for(2_000, is_all_sent);
             pause(ANSWER_MICROS);
             Self::Rs485
@@ -70,10 +71,9 @@ impl Mouth {
     }
 }
 
-/// Sends a packet through the first place of the transmit queue that is free, and waits until it has
-/// left.
+/// Sends a packet through the first free place of the transmit queue, and waits until it was sent.
 fn say_on_can(packet: &Packet) -> bool {
-    /// Words that a place of the queue takes.
+    /// Words for each place of the queue.
     const PLACE: usize = 18;
     const LAST_PLACE: u8 = 2;
 
@@ -98,7 +98,7 @@ fn is_queue_empty() -> bool {
     pac::FDCAN1.txbrp().read().0 == 0
 }
 
-/// A drive's answer: 0.8 ms until it comes, 1.2 ms for its bytes, and some to spare.
+/// A drive's answer: 0.8 ms until it comes, 1.2 ms for its bytes, and a margin.
 const ANSWER_MICROS: u32 = 3_000;
 
 /// Sends a packet, and leaves the drive time to answer.
@@ -109,7 +109,7 @@ fn say_on_rs485(packet: &Packet) -> bool {
         pac::USART1.tdr().write(|w| w.set_dr(byte.into()));
         has_place
     });
-    // A byte that was written has not left yet, and its flag may take a moment to say so.
+    // A byte that was written was not sent yet, and its flag may take a moment to show that.
     pause(10);
     let is_sent = is_sent && wait_for(2_000, is_all_sent);
     pause(ANSWER_MICROS);
@@ -120,7 +120,7 @@ fn is_all_sent() -> bool {
     pac::USART1.isr().read().tc()
 }
 
-/// Looks for so long, by the clock that [`start`](crate::start()) sets up. Longer if the clock is slow.
+/// Polls for this long, by the clock that [`start`](crate::start()) sets up; longer if the clock is slow.
 fn wait_for(micros: u32, mut is_so: impl FnMut() -> bool) -> bool {
     (0..micros).any(|_| {
         let is_so = is_so();

@@ -1,7 +1,7 @@
 //! ST's board NUCLEO-G474RE (STM32G474RE, Cortex-M4F at 170 MHz), with embassy.
 //!
-//! **It was never run on a real board.** `README.md` beside this file says what to wire, what to type
-//! and what to look at first.
+//! **It was never run on a real board.** `README.md` next to `src/` says how to wire and run it, and what to check
+//! first.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -21,7 +21,7 @@ mod start;
 
 // The log: over the debug probe.
 use defmt_rtt as _;
-// Tells a panic by it, and ends in a fault.
+// Logs a panic, and ends in a fault.
 use panic_probe as _;
 
 pub use board::Nucleo;
@@ -32,10 +32,10 @@ use myactuator_protocol_core::master::MotorSet;
 pub use serial::{BIT_RATE as RS485_BIT_RATE, rs485};
 pub use start::start;
 
-/// How many motors there are at the most: ids 1 to this.
+/// The most motors that there are: ids 1 to this.
 pub const MOTORS: usize = 8;
 
-/// The motors that are looked for, and that a firmware stops when it ends.
+/// The motors that are searched, and that a firmware stops when it ends.
 pub fn motors() -> MotorSet {
     MotorId::all().take(MOTORS).collect()
 }

@@ -9,28 +9,28 @@ use embassy_stm32::usart::{BufferedInterruptHandler, BufferedUart, Config, Confi
 use embassy_stm32::{Peri, bind_interrupts, pac};
 use static_cell::StaticCell;
 
-/// Bits a second: what drives are delivered with.
+/// Bit rate, bit/s: the one with which drives are delivered.
 pub const BIT_RATE: u32 = 115_200;
 
-/// Places for received bytes: more than the line brings in ten cycles.
+/// Room for received bytes: more than the line brings in ten cycles.
 const RECEIVED: usize = 256;
-/// Places for bytes to be sent: more than a frame.
+/// Room for bytes to send: more than a frame.
 const TO_SEND: usize = 32;
 
-/// Whether the port is set up, so that last words may be sent by it.
+/// Whether the port is set up, so that last words can be sent by it.
 pub(crate) static IS_SET_UP: AtomicBool = AtomicBool::new(false);
 
-/// Bytes that came before the one before them was taken, or were disturbed. The driver passes them over.
-/// It does not tell how many wait, nor how many find its buffer full.
+/// Bytes that were overrun or disturbed. The driver ignores them. It does not report how many bytes are queued, nor how
+/// many find its buffer full.
 static DROPPED: AtomicU32 = AtomicU32::new(0);
 
-/// How many received bytes were lost, as far as that is known.
+/// How many received bytes were lost, as far as known.
 pub(crate) fn dropped() -> u32 {
     DROPPED.load(Ordering::Relaxed)
 }
 
 bind_interrupts!(struct Irqs {
-    // In this order: the driver clears what is counted.
+    // In this order, since the driver clears what is counted here.
     USART1 => CountErrors, BufferedInterruptHandler<USART1>;
 });
 
@@ -44,11 +44,11 @@ impl Handler<interrupt::typelevel::USART1> for CountErrors {
     }
 }
 
-/// Opens the port. Interrupts fill its buffer, so that a `read` may be dropped at any time; the USART
-/// itself switches the direction. Call it once.
+/// Opens the port. Interrupts fill its buffer, so that a `read` may be dropped at any time. The USART itself switches
+/// the direction. Call it once.
 ///
 /// # Errors
-/// A bit rate that the clock does not allow.
+/// If the clock does not allow the bit rate.
 pub fn rs485(
     port: Peri<'static, USART1>,
     rx: Peri<'static, PA10>,
@@ -60,9 +60,9 @@ pub fn rs485(
 
     let mut config = Config::default();
     config.baudrate = BIT_RATE;
-    // While it sends, the transceiver lets go of its output.
+    // While the transceiver sends, it does not drive its output.
     config.rx_pull = Pull::Up;
-    // In sixteenths of a bit: the transceiver is given one bit to begin with and half a one to end with.
+    // In sixteenths of a bit: the transceiver gets one bit to switch before the data and half a bit after it.
     config.de_assertion_time = 16;
     config.de_deassertion_time = 8;
     let send = SEND.init([0; TO_SEND]);

@@ -13,11 +13,11 @@ pub(crate) const CORE_HZ: u32 = 170_000_000;
 
 /// Guards the stack and sets up the clocks. Call it first, and once.
 ///
-/// Waits for ever if the board's crystal does not start.
+/// Waits forever if the board's crystal does not start.
 pub fn start() -> (Peripherals, RestartCause) {
     let cause = restart_cause();
     if let Some(mut core) = cortex_m::Peripherals::take() {
-        // Below RAM there is ST's boot loader, which a write does not have to fault on.
+        // Below RAM is ST's boot loader, where a write need not fault.
         guard_stack(&mut core.MPU);
     }
     let mut config = Config::default();
@@ -33,12 +33,13 @@ pub fn start() -> (Peripherals, RestartCause) {
     config.rcc.sys = Sysclk::PLL1_R;
     // Needed above 150 MHz.
     config.rcc.boost = true;
-    // Straight from the crystal: its 24 MHz divide by 1 Mbit/s, 170 MHz divided by ten quanta do not.
+    // Straight from the crystal: its 24 MHz can be divided to 1 Mbit/s, but 170 MHz cannot be divided to it with ten
+    // quanta.
     config.rcc.mux.fdcansel = Fdcansel::HSE;
     (embassy_stm32::init(config), cause)
 }
 
-/// What the controller's flags and the note of the firmware before say. Both are used up by it.
+/// What the controller's flags and the last firmware's note say. Reading them clears both.
 fn restart_cause() -> RestartCause {
     let flags = pac::RCC.csr().read();
     pac::RCC.csr().modify(|csr| csr.set_rmvf(true));

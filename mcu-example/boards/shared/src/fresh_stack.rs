@@ -1,24 +1,24 @@
-//! Exceptions that never return, and trust nothing that was before them.
+//! Exceptions that never return, and do not rely on the state before them.
 
-/// Defines exceptions that put the stack pointer back to the top of the stack before anything else, and
-/// go on in a function that does not return: `on_fresh_stack!(HardFault, DefaultHandler => function)`,
-/// where `function` is an `extern "C" fn(u32) -> !`. It is given the address of the instruction that was
-/// to come next, which [`cause_of_end`](crate::cause_of_end) wants; 0 where that is lost.
+/// Defines exceptions that first set the stack pointer back to the top of the stack, and then call a function that does
+/// not return: `on_fresh_stack!(HardFault, DefaultHandler => function)`, where `function` is an `extern "C" fn(u32) ->
+/// !`. Its argument is the address of the next instruction, for [`cause_of_end`](crate::cause_of_end), or 0 if that is
+/// lost.
 ///
-/// A stack that has overflowed is one of the reasons for a fault. Whatever lies on the stack is lost.
-/// `DefaultHandler` is every exception and interrupt that nobody handles.
+/// One reason for a fault is a stack overflow. What is on the stack is lost. `DefaultHandler` stands for every
+/// exception and interrupt without a handler.
 #[macro_export]
 macro_rules! on_fresh_stack {
     ($($exception:ident),+ => $function:path) => {$(
-        /// An exception, entered by the processor alone.
+        /// An exception. Only the processor enters it.
         #[allow(non_snake_case, reason = "cortex-m-rt's vectors have these names")]
         #[unsafe(no_mangle)]
         #[unsafe(naked)]
         unsafe extern "C" fn $exception() -> ! {
             const _: extern "C" fn(u32) -> ! = $function;
             ::core::arch::naked_asm!(
-                // The processor has put eight words onto the stack, the seventh is the address. A stack
-                // that has overflowed has no place for them.
+                // The processor has pushed eight words; the seventh is the address. A stack that has overflowed has no
+                // room for them.
                 "movs r0, #0",
                 "mrs r1, msp",
                 "ldr r2, =_stack_end",
@@ -30,9 +30,8 @@ macro_rules! on_fresh_stack {
                 "bhi 1f",
                 "ldr r0, [r1, #-8]",
                 "1:",
-                // The floating point registers of what was interrupted are kept only when this one
-                // uses such registers, in a place that may lie beyond the stack: forget them
-                // (FPCCR.LSPACT).
+                // The floating point registers of the interrupted code are saved only when this exception uses such
+                // registers, and the place for them may be beyond the stack. So give up saving them (FPCCR.LSPACT).
                 "ldr r1, =0xE000EF34",
                 "ldr r2, [r1]",
                 "bic r2, r2, #1",

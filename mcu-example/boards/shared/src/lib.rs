@@ -1,8 +1,8 @@
-//! What every Cortex-M board here shares: how a firmware ends that cannot go on, what it leaves to the
-//! next start, and how deep its stack was.
+//! What all Cortex-M boards here share: how a firmware that cannot go on ends, what it leaves to the next start, and
+//! how deep its stack was.
 //!
-//! A board's `memory.x` puts the stack below everything else in RAM, so that one that overflows runs
-//! into memory that is not there, and faults, instead of into the variables:
+//! A board's `memory.x` puts the stack below everything else in RAM. So a stack that overflows runs into memory that
+//! does not exist, and faults, instead of overwriting variables:
 //!
 //! ```text
 //! MEMORY
@@ -15,8 +15,7 @@
 //! _stack_end = ORIGIN(STACK);
 //! ```
 //!
-//! Where there is something below RAM all the same, [`guard_stack`] makes it fault. The binaries do the
-//! rest in three lines:
+//! If something is below RAM, [`guard_stack`] makes access to it fault. The programs do the rest in three lines:
 //!
 //! ```ignore
 //! board_shared::on_fresh_stack!(HardFault, DefaultHandler => end);

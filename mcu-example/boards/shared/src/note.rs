@@ -1,26 +1,26 @@
-//! A note to the next start, in RAM that a reset leaves alone.
+//! A note for the next start, in RAM that a reset leaves unchanged.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 
 use myactuator_mcu_example::RestartCause;
 
-/// The note's first word is this and the cause's number. After power comes, RAM holds anything: this
-/// and the second word, which is the first's complement, tell a note from that.
+/// The note's first word is this and the cause's number. The second word is the complement of the first. After power-on
+/// RAM holds random values; these two words tell a note from them.
 const MAGIC: u32 = 0x0FF1_CE00;
 
 struct Note(UnsafeCell<MaybeUninit<[u32; 2]>>);
 
-// SAFETY: only one thread runs on these processors, and every access is a volatile one of whole words:
-// an exception in between finds a note or none, never a wrong one, for the second word proves the first.
+// SAFETY: only one thread runs on these processors, and each access is a volatile one of whole words. An exception in
+// between finds a note or none, but never a wrong one, since the second word proves the first.
 unsafe impl Sync for Note {}
 
 // The start-up code initialises nothing in this section.
 #[unsafe(link_section = ".uninit.NOTE")]
 static NOTE: Note = Note(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// Leaves a note of why the firmware is about to restart. The first one stands: what goes wrong while
-/// a firmware ends follows from why it ends.
+/// Leaves a note of why the firmware is about to restart. A note that is there already stays: what goes wrong while a
+/// firmware ends is a consequence.
 pub(crate) fn leave_note(cause: RestartCause) {
     if read().is_none() {
         let first = MAGIC | number(cause);
@@ -28,8 +28,7 @@ pub(crate) fn leave_note(cause: RestartCause) {
     }
 }
 
-/// Takes the note that the firmware left before this start: why it restarted itself. None after any
-/// other start. Call it once, first of all.
+/// Takes the note of why the firmware restarted itself. None after any other start. Call it once, before anything else.
 pub fn take_note() -> Option<RestartCause> {
     let cause = read();
     write([0, 0]);
@@ -49,14 +48,14 @@ const fn number(cause: RestartCause) -> u32 {
 }
 
 fn read() -> Option<RestartCause> {
-    // SAFETY: the pointer is to a static of this type, whose words hold some value as any RAM does;
-    // volatile, for what they hold is from before this program's start.
+    // SAFETY: the pointer is to a static of this type, whose words hold some value, as any RAM does. Volatile, since
+    // the value is from before this program's start.
     let [first, second] = unsafe { NOTE.0.get().cast::<[u32; 2]>().read_volatile() };
     let is_note = first == !second && first & !0xFF == MAGIC;
     CAUSES.into_iter().find(|&cause| is_note && first == MAGIC | number(cause))
 }
 
 fn write(words: [u32; 2]) {
-    // SAFETY: as in `read`; volatile, for who reads it is not in this program's run.
+    // SAFETY: as in `read`. Volatile, since only the next start reads it.
     unsafe { NOTE.0.get().cast::<[u32; 2]>().write_volatile(words) }
 }

@@ -9,11 +9,11 @@ use crate::note::leave_note;
 
 /// Leaves a note of the cause, sends the last words to these motors, and resets.
 ///
-/// From here on there are no interrupts. `send` is called with one packet after the other: it has to
-/// poll the controller's registers, to give up on a bus that takes nothing, and to wait as long as a
-/// motor needs to answer where answers and commands share a line. `linger` comes last, before the reset.
+/// Interrupts are off from here on. `send` is called with each packet in turn. It has to poll the controller's
+/// registers, to give up on a bus that takes nothing, and, where answers and commands share a line, to wait for as long
+/// as a motor needs to answer. `linger` is called last, before the reset.
 ///
-/// The note comes first: should the rest go wrong too, it is there when the watchdog bites.
+/// The note comes first, so that it is there when the watchdog bites because something goes wrong here, too.
 pub fn restart(
     cause: RestartCause,
     motors: MotorSet,

@@ -1,4 +1,4 @@
-//! The RS485 line of a firmware that cannot go on: by the USART's registers alone.
+//! The RS485 line of a firmware that cannot go on, by the USART's registers alone.
 
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::wire::rs485::Frame;
@@ -8,21 +8,21 @@ use crate::time::Countdown;
 
 /// A byte at 115200 bit/s takes 87 µs.
 const BYTE_MICROS: u32 = 200;
-/// What a drive needs to answer: 0.9 ms and, at 115200 bit/s, another 1.1 ms for the frame.
+/// The time that a drive needs to answer: 0.9 ms and, at 115200 bit/s, another 1.1 ms for the frame.
 const ANSWER_MICROS: u32 = 3_000;
 
-/// The line, taken from whoever had it.
+/// The line, taken from its owner.
 pub(crate) struct LastLine {
     usart: &'static usart1::RegisterBlock,
     port: &'static gpioa::RegisterBlock,
 }
 
 impl LastLine {
-    /// Takes the line for good, and waits until what was on its way is over.
+    /// Takes the line for good, and waits until what was being sent is over.
     pub(crate) fn take() -> Self {
         cortex_m::interrupt::disable();
-        // SAFETY: the registers are there at all times, and with interrupts off, in a firmware that
-        // does not go on where it had them, they are nobody else's.
+        // SAFETY: the registers are there at all times. Interrupts are off, and the firmware does not go on where it
+        // used them, so nothing else does.
         let line = unsafe { Self { usart: &*USART1::ptr(), port: &*GPIOA::ptr() } };
         if line.is_open() {
             line.wait_for(is_done);

@@ -1,4 +1,4 @@
-//! What the boards with an STM32F4 share, so that their sources differ by pins and clocks only.
+//! What the boards with an STM32F4 share. Their own sources differ only by pins and clocks.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -25,10 +25,10 @@ use myactuator_protocol_core::master::MotorSet;
 pub use rs485::{end_on_rs485, run_rs485};
 pub use time::{Countdown, TimeBase, TimerClocks, wake};
 
-/// How many motors may be on the bus, with ids from 1.
+/// The most motors on the bus, with ids from 1.
 pub const MOTORS: usize = 8;
 
-/// The motors that are looked for, and that a firmware stops when it ends.
+/// The motors that are searched, and that a firmware stops when it ends.
 pub fn motors() -> MotorSet {
     MotorId::all().take(MOTORS).collect()
 }

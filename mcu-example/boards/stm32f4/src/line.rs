@@ -19,17 +19,17 @@ use stm32f4xx_hal::serial::{Config, Error, Rx, Serial, Tx};
 
 use crate::time::{TimeBase, wake};
 
-/// Bytes that may wait until the loop takes them: those of 19 frames.
+/// Room in the queue: the bytes of 19 frames.
 const QUEUE: usize = 256;
-/// From the direction pin to the first bit, and from the last bit to the direction pin: more than any
-/// usual transceiver takes to switch, less than a drive takes to answer.
+/// The time between switching the direction pin and the first bit, and between the last bit and switching it back: more
+/// than any usual transceiver takes to switch, less than a drive takes to answer.
 const SETUP_NS: u32 = 2_000;
 const HOLD_NS: u32 = 1_000;
 
 /// The line, with its transceiver's direction.
 pub type Line = HalfDuplex<Port, PA8<Output>, TimeBase>;
 
-/// Opens the line at so many bit/s. `None` if the USART's clock does not allow for that.
+/// Opens the line at this bit rate, in bit/s. `None` if the USART's clock does not allow it.
 pub fn open_line(
     usart: USART1,
     pins: (PA9, PA10, PA8),
@@ -38,7 +38,7 @@ pub fn open_line(
     time: TimeBase,
 ) -> Option<Line> {
     let (tx, mut rx, direction) = pins;
-    // Nobody drives the receiver's output while the transceiver sends.
+    // Nothing drives the receiver's output while the transceiver sends.
     rx.set_internal_resistor(Pull::Up);
     let config = Config::default().baudrate(bit_rate.bps());
     let (tx, mut rx) = Serial::new(usart, (tx, rx), config, rcc).ok()?.split();
@@ -51,11 +51,11 @@ pub fn open_line(
     HalfDuplex::new(Port { tx }, direction.into_push_pull_output(), time, SETUP_NS, HOLD_NS).ok()
 }
 
-/// What was wrong with what came over the line, and was passed over: a frame that lacks a byte is lost
-/// like any other, and the master asks again.
+/// Errors of received bytes, which are otherwise ignored: a frame that lacks a byte is lost like any other, and the
+/// master asks again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, defmt::Format)]
 pub struct LineErrors {
-    /// Bytes that came before the one before them was taken from the USART.
+    /// Bytes that came before the previous one was taken from the USART.
     pub overruns: u32,
     /// Bytes without a stop bit: another bit rate, a break, or a line at rest without bias.
     pub framing: u32,
@@ -85,7 +85,7 @@ pub fn take_line_errors() -> LineErrors {
     with_receiver(|receiver| mem::take(&mut receiver.errors)).unwrap_or_default()
 }
 
-/// The line's part of what a board tells of itself: bytes. A disturbed one counts as dropped.
+/// The line's part of the board's usage, in bytes. A disturbed byte counts as dropped.
 pub fn line_usage() -> Usage {
     let usage = |receiver: &mut Receiver| Usage {
         queued: receiver.most as u32,
@@ -100,9 +100,9 @@ struct Receiver {
     rx: Rx<USART1>,
     queue: Deque<u8, QUEUE>,
     errors: LineErrors,
-    /// The most bytes that have waited.
+    /// The most bytes that were queued.
     most: usize,
-    /// All errors there ever were.
+    /// All errors since the start.
     dropped: u32,
 }
 
@@ -119,7 +119,7 @@ fn USART1() {
             let counter = match receiver.rx.read() {
                 Ok(byte) if receiver.queue.push_back(byte).is_ok() => continue,
                 Ok(_) => &mut receiver.errors.dropped,
-                // Reading has cleared it.
+                // Reading it has cleared it.
                 Err(nb::Error::Other(error)) => receiver.errors.of(error),
                 Err(nb::Error::WouldBlock) => break,
             };
@@ -130,11 +130,10 @@ fn USART1() {
     wake();
 }
 
-/// The USART as a port of embedded-io 0.7; the HAL's is one of 0.6, and gives 0 where it would have to
-/// wait.
+/// The USART as a port of embedded-io 0.7. The HAL's port is one of 0.6, and returns 0 if it would have to wait.
 ///
-/// It has no errors: the master would take one for a bus that is down. What is wrong with single bytes
-/// is [counted](LineErrors).
+/// It reports no errors: the master would take one to mean that the bus is down. Errors of single bytes are
+/// [counted](LineErrors).
 #[expect(missing_debug_implementations, reason = "the HAL's half of a USART has none")]
 pub struct Port {
     tx: Tx<USART1>,
@@ -175,14 +174,13 @@ impl ReadReady for Port {
 impl Write for Port {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         for &byte in bytes {
-            // The only error is that the register is full, which ends by itself.
+            // The only error is a full register, which ends on its own.
             while self.tx.write(byte).is_err() {}
         }
         Ok(bytes.len())
     }
 
-    /// Waits until the last bit has left (flag TC): an empty register is not enough for the direction
-    /// to change.
+    /// Waits until the last bit was sent (flag TC). An empty register is not enough to change the direction.
     fn flush(&mut self) -> Result<(), Infallible> {
         while self.tx.flush().is_err() {}
         Ok(())

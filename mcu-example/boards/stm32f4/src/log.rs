@@ -1,4 +1,4 @@
-//! The log, by defmt. Where it goes to is the board's affair.
+//! The log, by defmt. The board chooses its output.
 
 use myactuator_mcu_example::Report;
 use myactuator_protocol_core::io::Clock as _;
@@ -8,7 +8,7 @@ use crate::time::TimeBase;
 
 defmt::timestamp!("{=u64:us}", TimeBase::read().now().as_micros());
 
-/// Tells a report; with that of a second also what was wrong on the RS485 line since the last one.
+/// Logs a report. With the report of a second it also logs the errors of the RS485 line since the last one.
 pub fn log(report: &Report) {
     defmt::info!("{}", report);
     if let Report::Second { .. } = report {

@@ -12,10 +12,10 @@ use crate::line::Line;
 use crate::time::TimeBase;
 use crate::{MOTORS, motors};
 
-/// The fastest turning, in degrees a second.
+/// The highest speed, in degrees per second.
 const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
 
-/// Runs the application on the line for ever.
+/// Runs the application on the line forever.
 pub fn run_rs485(
     line: Line,
     config: Config,
@@ -29,14 +29,13 @@ pub fn run_rs485(
     run(&mut bus, board, setup, cause)
 }
 
-/// The loop stands still while a frame is sent, and a cycle that begins half a cycle late was missed.
+/// The loop blocks while a frame is sent, and a cycle that begins half a cycle late counts as missed.
 fn cycle(config: &Config) -> Duration {
     let is_slow = config.frame_time > Duration::from_micros(300);
     if is_slow { Duration::from_millis(5) } else { Duration::from_millis(1) }
 }
 
-/// What is to be done on a panic, a fault and whatever else nobody has expected: stops the motors, and
-/// restarts.
+/// The end after a panic, a fault, or an exception without a handler: stops the motors, and restarts.
 pub extern "C" fn end_on_rs485(at: u32) -> ! {
     end(at, LastLine::take, LastLine::send)
 }

@@ -1,5 +1,5 @@
-//! Time, from timer TIM2: 32 bits of microseconds, which run over after 71 minutes. SysTick wakes the
-//! processor at the end of a pause.
+//! Time, from timer TIM2: 32 bits of microseconds, which wrap after 71 minutes. SysTick wakes the processor at the end
+//! of a pause.
 
 use core::cell::{Cell, RefCell};
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -14,10 +14,10 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use stm32f4xx_hal::pac::{TIM2, tim2};
 use stm32f4xx_hal::rcc::{Enable as _, Rcc, Reset as _};
 
-/// The time when it was last looked at. Somebody has to look within 71 minutes; the loop always does.
+/// The time when it was last read. It has to be read at least every 71 minutes; the loop always does.
 static LAST_MICROS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
-/// Set when something has arrived that the loop has not looked at.
+/// Set when something has arrived that the loop has not processed.
 static HAS_WORK: AtomicBool = AtomicBool::new(false);
 
 /// What wakes the processor, once the time base has started.
@@ -28,12 +28,12 @@ struct Alarm {
     ticks_a_microsecond: u32,
 }
 
-/// A pause that is shorter is not worth going to sleep for.
+/// For a shorter pause, sleeping is not worth it.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 /// SysTick counts 24 bits: 93 ms at 180 MHz.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
-/// With what the timers are clocked, in MHz.
+/// The clocks of the timers, in MHz.
 #[derive(Clone, Copy, Debug)]
 pub struct TimerClocks {
     /// TIM2.
@@ -42,12 +42,12 @@ pub struct TimerClocks {
     pub systick: u32,
 }
 
-/// The time since the start: the loops' clock, and a delay that does nothing else meanwhile.
+/// The time since the start: the loops' clock, and a blocking delay.
 #[derive(Clone, Copy, Debug)]
 pub struct TimeBase(());
 
 impl TimeBase {
-    /// Begins to count.
+    /// Starts the timers.
     pub fn start(timer: TIM2, mut alarm: SYST, rcc: &mut Rcc, clocks: TimerClocks) -> Self {
         alarm.set_clock_source(SystClkSource::Core);
         alarm.enable_interrupt();
@@ -64,7 +64,7 @@ impl TimeBase {
         Self(())
     }
 
-    /// The time base, which stands still before it was started.
+    /// The time base. It stands still until it is started.
     pub(crate) const fn read() -> Self {
         Self(())
     }
@@ -88,8 +88,8 @@ impl Clock for TimeBase {
             return;
         }
         let micros = pause.min(LONGEST_SLEEP).as_micros() as u32;
-        // Without interrupts, or one that comes before the processor sleeps would not wake it. While it
-        // sleeps they wake it nevertheless, and are carried out after this.
+        // With interrupts off: otherwise one that comes before the processor sleeps would not wake it. While it sleeps
+        // they still wake it, and run after this.
         free(|cs| {
             if HAS_WORK.swap(false, Ordering::Relaxed) {
                 return;
@@ -105,11 +105,11 @@ impl Clock for TimeBase {
     }
 }
 
-/// It has done its duty by waking the processor.
+/// Nothing is left to do: the interrupt has woken the processor.
 #[exception]
 fn SysTick() {}
 
-/// Something has arrived: an interrupt calls this, so that the loop looks before it sleeps.
+/// Something has arrived. An interrupt calls this, so that the loop checks before it sleeps.
 pub fn wake() {
     HAS_WORK.store(true, Ordering::Relaxed);
 }
@@ -120,7 +120,7 @@ impl DelayNs for TimeBase {
     }
 }
 
-/// A time that has to pass. It needs no interrupt, so a firmware that ends can wait by it, too.
+/// A time that has to pass. It needs no interrupt, so a firmware that ends can use it, too.
 #[derive(Clone, Copy, Debug)]
 pub struct Countdown {
     since: u32,
@@ -128,7 +128,7 @@ pub struct Countdown {
 }
 
 impl Countdown {
-    /// At least so many microseconds from now on.
+    /// At least this many microseconds from now on.
     pub fn of_micros(micros: u32) -> Self {
         Self { since: counter(), micros }
     }
@@ -138,7 +138,7 @@ impl Countdown {
         counter().wrapping_sub(self.since) > self.micros || !is_running()
     }
 
-    /// Waits until it has passed or `is_done`.
+    /// Waits until it has passed or `is_done` returns true.
     pub fn wait_unless(self, is_done: impl Fn() -> bool) {
         while !is_done() && !self.is_over() {}
     }
@@ -154,7 +154,7 @@ fn is_running() -> bool {
 }
 
 fn timer() -> &'static tim2::RegisterBlock {
-    // SAFETY: the registers are there at all times. Once the timer has started, all that is done with
-    // them is to read these two, which changes nothing.
+    // SAFETY: the registers are there at all times. Once the timer has started, only these two are read, which changes
+    // nothing.
     unsafe { &*TIM2::ptr() }
 }

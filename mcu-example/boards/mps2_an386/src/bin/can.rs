@@ -12,7 +12,7 @@ use myactuator_protocol_core::master::Config;
 
 #[entry]
 fn main() -> ! {
-    // Gentle: 5 degrees away from where it is to be, a motor turns back with less than 2 N·m.
+    // Gentle: a motor that is 5 degrees off turns back with less than 2 N·m.
     let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 };
     let setup = Setup::new(movement);
     let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);

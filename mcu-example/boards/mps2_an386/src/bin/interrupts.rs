@@ -1,7 +1,6 @@
-//! What the RS485 line's receive interrupt costs, in instructions, from the processor's entry to its
-//! exit: once with room for the byte, and once without, which is its longest way. `.ci/cycles` runs it,
-//! with bytes that come in on UART 0 and with time that counts instructions: one in 64 ns, and SysTick
-//! counts 40 ns.
+//! What the RS485 line's receive interrupt costs, in instructions, from the processor's entry to its exit: once with
+//! room for the byte, and once without, which is its longest path. `.ci/cycles` runs it, with bytes that arrive on UART
+//! 0 and with time that counts instructions: one takes 64 ns, and SysTick counts 40 ns.
 #![no_std]
 #![no_main]
 
@@ -16,7 +15,7 @@ use mps2_an386::{Bus, Parts, Uart, start};
 use myactuator_mcu_example::{Movement, Setup};
 use myactuator_protocol_core::units::MaxSpeed;
 
-/// Bytes that are looked at of each kind.
+/// Bytes measured of each kind.
 const BYTES: u32 = 100;
 /// What one interrupt may cost.
 const CEILING: u32 = 82;
@@ -25,7 +24,7 @@ const CEILING: u32 = 82;
 fn main() -> ! {
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { mut uart, .. } = start(Bus::Rs485, 1_000_000, &setup);
-    // SAFETY: nobody else here uses the timer.
+    // SAFETY: nothing else here uses the timer.
     let mut syst = unsafe { cortex_m::Peripherals::steal() }.SYST;
     syst.set_clock_source(SystClkSource::Core);
     syst.set_reload(0x00FF_FFFF);
@@ -37,7 +36,7 @@ fn main() -> ! {
         drain(uart);
         is_one
     });
-    // Nobody reads any more, so that the queue fills and bytes are lost.
+    // Nothing reads any more, so the queue fills and bytes are lost.
     let mut lost = uart.lost();
     let without = cheapest(&mut uart, |uart| {
         let before = core::mem::replace(&mut lost, uart.lost());
@@ -60,7 +59,7 @@ fn drain(uart: &mut Uart) {
     }
 }
 
-/// The cheapest of those that took a byte: the dearer ones had a timer's interrupt beside them.
+/// The cheapest of those that took a byte: in the others a timer's interrupt ran, too.
 fn cheapest(uart: &mut Uart, mut has_taken: impl FnMut(&mut Uart) -> bool) -> u32 {
     let mut cheapest = u32::MAX;
     let mut taken = 0;
@@ -74,7 +73,7 @@ fn cheapest(uart: &mut Uart, mut has_taken: impl FnMut(&mut Uart) -> bool) -> u3
     cheapest
 }
 
-/// Waits for interrupts and lets them pass; returns what that took.
+/// Waits for interrupts and lets them run; returns how long that took.
 #[inline(never)]
 fn pass() -> u32 {
     interrupt::disable();

@@ -14,7 +14,7 @@ const BIT_RATE: u32 = 1_000_000;
 
 #[entry]
 fn main() -> ! {
-    // Twice what the movement needs at its fastest.
+    // Twice the highest speed of the movement.
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
     let mut bus =

@@ -19,7 +19,7 @@ fn main() -> ! {
 
 #[embassy_executor::task]
 async fn application() -> ! {
-    // Twice what the movement needs at its fastest.
+    // Twice the highest speed of the movement.
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
     let mut bus =

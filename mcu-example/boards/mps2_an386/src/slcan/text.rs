@@ -1,4 +1,4 @@
-//! What is said to the adapter and by it.
+//! The lines to the adapter and from it.
 
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use heapless::Vec;
@@ -6,15 +6,15 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 
 const END: u8 = b'\r';
 const BELL: u8 = 0x07;
-/// The longest line there is: `T`, identifier, length, eight bytes, a time stamp, and its end.
+/// The longest line: `T`, identifier, length, eight bytes, a time stamp, and its end.
 pub(super) const LONGEST_LINE: usize = 1 + 8 + 1 + 16 + 4 + 1;
 
 type Line = Vec<u8, LONGEST_LINE>;
 
-/// The line that has a frame sent, its end included.
+/// The line that sends a frame, including its end.
 pub(crate) fn line(frame: &SimpleFrame) -> Line {
     let mut line = Line::new();
-    // None of these fails: the longest frame fits.
+    // None of these fails, because the longest frame fits.
     let mut put = |byte| {
         let _ = line.push(byte);
     };
@@ -33,22 +33,22 @@ pub(crate) fn line(frame: &SimpleFrame) -> Line {
     line
 }
 
-/// The lowest four bits.
+/// The digit of the lowest four bits.
 fn digit(value: u32) -> u8 {
     const DIGITS: [u8; 16] = *b"0123456789ABCDEF";
     DIGITS[(value & 0xF) as usize]
 }
 
-/// What the adapter says.
+/// A message of the adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Answer {
     /// A frame came from the bus.
     Frame(SimpleFrame),
-    /// A command is carried out, or a frame accepted.
+    /// A command was carried out, or a frame accepted.
     Done,
-    /// It is not.
+    /// A command or frame was refused.
     Refused,
-    /// A line that means nothing, such as one that lost bytes on its way.
+    /// A line without a meaning, such as one that has lost bytes.
     Junk,
 }
 
@@ -56,7 +56,7 @@ pub(super) enum Answer {
 #[derive(Debug)]
 pub(super) struct Reader {
     line: Line,
-    /// The line is longer than any there is.
+    /// The line is longer than any line may be.
     is_too_long: bool,
 }
 
@@ -65,7 +65,7 @@ impl Reader {
         Self { line: Line::new(), is_too_long: false }
     }
 
-    /// Takes the next byte. BEL counts wherever it stands, and ends a line that had begun.
+    /// Takes the next byte. BEL counts anywhere, and ends a line that had begun.
     pub(super) fn feed(&mut self, byte: u8) -> Option<Answer> {
         let answer = match byte {
             BELL => Answer::Refused,
@@ -90,7 +90,7 @@ fn parse(line: &[u8]) -> Answer {
     }
 }
 
-/// The frame on a line, with a time stamp behind it or without.
+/// The frame of a line, with or without a time stamp after it.
 fn parse_frame(line: &[u8]) -> Option<SimpleFrame> {
     let (&kind, rest) = line.split_first()?;
     let (id, rest) = match kind {

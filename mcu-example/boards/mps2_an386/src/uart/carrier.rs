@@ -20,14 +20,14 @@ pub(super) struct Carrier {
 
 struct Port {
     carrier: Mutex<RefCell<Option<Carrier>>>,
-    /// Received bytes that nobody took in time.
+    /// Received bytes that were not taken in time.
     lost: AtomicU32,
 }
 
 static PORTS: [Port; 3] =
     [const { Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) } }; 3];
 
-/// The most received bytes that have waited on each port: not the interrupts' affair.
+/// The most received bytes that were queued on each port. The interrupts do not touch this.
 static MOST: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
 
 const fn port(id: UartId) -> &'static Port {
@@ -79,12 +79,13 @@ fn with(id: UartId, act: impl FnOnce(&mut Carrier)) {
     });
 }
 
-/// So many received bytes wait. Whoever takes them calls it first, for that costs the interrupt nothing.
+/// Notes how many received bytes are queued. The reader calls it before it takes bytes, so that it costs the interrupt
+/// nothing.
 pub(super) fn note_waiting(id: UartId, count: usize) {
     MOST[id as usize].fetch_max(count as u32, Ordering::Relaxed);
 }
 
-/// The most received bytes that have waited.
+/// The most received bytes that were queued.
 pub(super) fn most_waiting(id: UartId) -> u32 {
     MOST[id as usize].load(Ordering::Relaxed)
 }
@@ -94,7 +95,7 @@ pub(super) fn lost(id: UartId) -> u32 {
     port(id).lost.load(Ordering::Relaxed)
 }
 
-/// Hands the UART what it takes of the unsent bytes; the interrupts go on from there.
+/// Gives the UART as many of the unsent bytes as it takes. The interrupts send the rest.
 pub(super) fn carry(id: UartId) {
     with(id, |carrier| carrier.send(id));
 }

@@ -7,12 +7,12 @@ use myactuator_protocol_core::time::Duration;
 use super::{Stalled, Uart};
 use crate::tasks::until_found;
 
-/// A UART that sends nothing for so long never will. Sooner than the master's loop gives up waiting,
-/// which would leave what was written to leave some day.
+/// A UART that sends nothing for this long never will. It is less than the time after which the master's loop gives up
+/// waiting: then what was written might be sent later.
 const LONGEST_STALL: Duration = Duration::from_millis(10);
 
 impl Read for Uart {
-    /// Dropping it loses nothing: bytes leave the queue only when it is done.
+    /// Dropping the future loses nothing: bytes leave the queue only when it completes.
     async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Stalled> {
         if buf.is_empty() {
             return Ok(0);
@@ -31,10 +31,10 @@ impl Write for Uart {
         Ok(self.try_write(buf))
     }
 
-    /// Waits until the last byte has left.
+    /// Waits until the last byte was sent.
     async fn flush(&mut self) -> Result<(), Stalled> {
         self.until_sent(Self::has_sent).await?;
-        // The UART's buffer is empty as soon as its last byte begins to leave.
+        // The UART's buffer is empty as soon as it begins to send its last byte.
         let until = self.clock.now() + self.byte_time;
         self.clock.wait_until(until).await;
         Ok(())
@@ -42,7 +42,7 @@ impl Write for Uart {
 }
 
 impl Uart {
-    /// Waits for bytes to leave, but not for ever: then the rest is dropped, for it is stale.
+    /// Waits until bytes are sent, but not forever. After that the rest is dropped, since it is stale.
     async fn until_sent(&mut self, is_over: impl Fn(&Self) -> bool) -> Result<(), Stalled> {
         let (mut left, mut since) = (self.unsent.len(), self.clock.now());
         until_found(|| {

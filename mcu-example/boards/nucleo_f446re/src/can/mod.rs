@@ -25,22 +25,22 @@ use stm32f4xx_hal::rcc::Rcc;
 
 use self::mailboxes::Mailboxes;
 
-/// 45 MHz / 3 / (1 + 12 + 2) = 1 Mbit/s, looked at after 13 of 15 parts of a bit.
+/// 45 MHz / 3 / (1 + 12 + 2) = 1 Mbit/s, sampled after 13 of 15 parts of a bit.
 const BIT_TIMING: u32 = bit_timing(3, 12, 2);
 
-/// The bit timing register: each of these less one, and synchronised by up to one part of a bit.
+/// The bit timing register holds each of these less one. It synchronises by up to one part of a bit.
 const fn bit_timing(divider: u32, before: u32, after: u32) -> u32 {
     (divider - 1) | (before - 1) << 16 | (after - 1) << 20
 }
 
-/// Opens the controller. A bus that is not there, or not quiet, is not waited for: the controller joins
-/// as soon as it can, also after it had to leave (bus-off).
+/// Opens the controller. It does not wait for a bus that is missing or busy: the controller joins as soon as it can,
+/// also after bus-off.
 pub fn open_can(can: CAN1, pins: (PB9, PB8), rcc: &mut Rcc, time: TimeBase) -> CanPort {
     let builder = bxcan::Can::builder(can.can(pins, rcc)).set_bit_timing(BIT_TIMING);
     let mut can = builder.leave_disabled();
     can.modify_filters().enable_bank(0, Fifo::Fifo0, Mask32::accept_all());
     can.enable_interrupt(Interrupt::Fifo0MessagePending);
-    // Not an error: it says that the controller has not joined yet.
+    // Not an error: it reports that the controller has not joined yet.
     let _ = can.enable_non_blocking();
     let (tx, rx, _) = can.split();
     receive::begin(rx);

@@ -9,17 +9,16 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use super::mailboxes::Mailboxes;
 use super::receive;
 
-/// A controller that has had three frames for so long does not get rid of them. On a bus full of more
-/// urgent frames it would, within a few.
+/// If a controller has held three frames for this long, the bus does not take them. It would even on a bus full of more
+/// urgent frames, within a few of them.
 const STUCK_AFTER: Duration = Duration::from_millis(10);
 
 /// Why the bus is down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub enum CanError {
-    /// So much went wrong that the controller has left the bus. It comes back by itself, after 128 times
-    /// 11 quiet bits.
+    /// The controller has left the bus after too many errors. It comes back on its own, after 128 times 11 quiet bits.
     BusOff,
-    /// Nobody acknowledges what is sent, or the bus is never free.
+    /// Nothing acknowledges what is sent, or the bus is never free.
     Stuck,
 }
 
@@ -34,8 +33,8 @@ impl Error for CanError {
 
 /// The CAN controller.
 ///
-/// When the bus is down, what was in the mailboxes is thrown away: a set-point that leaves when the
-/// cable is plugged in again would move a motor that was stopped meanwhile.
+/// When the bus is down, what was in the mailboxes is dropped. Otherwise a set-point that is sent when the cable is
+/// plugged in again would move a motor that was stopped meanwhile.
 #[expect(missing_debug_implementations, reason = "registers say nothing")]
 pub struct CanPort {
     mailboxes: Mailboxes,
@@ -54,7 +53,7 @@ impl Can for CanPort {
     type Frame = Frame;
     type Error = CanError;
 
-    /// Pushes no frame out: a stop must not be followed by what came before it.
+    /// Never hands a frame back in place of this one: a stop must not be followed by what came before it.
     fn transmit(&mut self, frame: &Frame) -> nb::Result<Option<Frame>, CanError> {
         if self.mailboxes.is_bus_off() {
             return Err(nb::Error::WouldBlock);
@@ -72,7 +71,7 @@ impl Can for CanPort {
         Err(nb::Error::Other(CanError::Stuck))
     }
 
-    /// The next frame. Tells once that the controller has left the bus.
+    /// The next frame. Reports once that the controller has left the bus.
     fn receive(&mut self) -> nb::Result<Frame, CanError> {
         let is_off = self.mailboxes.is_bus_off();
         if is_off && !core::mem::replace(&mut self.was_off, is_off) {

@@ -1,4 +1,4 @@
-//! What comes from the bus: an interrupt empties the controller's three places into a queue.
+//! Receiving: an interrupt moves frames from the controller's three places into a queue.
 
 use core::cell::RefCell;
 use core::mem;
@@ -12,14 +12,14 @@ use myactuator_mcu_example::Usage;
 use stm32f4xx_hal::can::Can;
 use stm32f4xx_hal::pac::{self, CAN1, interrupt};
 
-/// Frames that may wait until the loop takes them: what a full bus brings in 4 ms.
+/// Room in the queue: what a full bus brings in 4 ms.
 const QUEUE: usize = 32;
 
-/// Frames that were lost since they were last asked for. To the master each is a reply that did not
-/// come, and no reason to take the bus for dead.
+/// Frames that were lost since the last call. To the master each is a reply that did not come, and does not mean that
+/// the bus is down.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, defmt::Format)]
 pub(crate) struct CanErrors {
-    /// How often the controller had no place.
+    /// How often the controller had no place free.
     overruns: u32,
     /// How many found the queue full.
     dropped: u32,
@@ -36,9 +36,9 @@ struct Receiver {
     fifo: Rx0<Can<CAN1>>,
     queue: Deque<Frame, QUEUE>,
     errors: CanErrors,
-    /// The most frames that have waited.
+    /// The most frames that were queued.
     most: usize,
-    /// All that were ever lost.
+    /// All frames that were ever lost.
     dropped: u32,
 }
 
@@ -48,7 +48,7 @@ fn with_receiver<T>(work: impl FnOnce(&mut Receiver) -> T) -> Option<T> {
     free(|cs| RECEIVER.borrow(cs).borrow_mut().as_mut().map(work))
 }
 
-/// From now on frames are received.
+/// Begins to receive frames.
 pub(super) fn begin(fifo: Rx0<Can<CAN1>>) {
     let receiver =
         Receiver { fifo, queue: Deque::new(), errors: CanErrors::default(), most: 0, dropped: 0 };
@@ -71,7 +71,7 @@ pub(crate) fn take_can_errors() -> CanErrors {
     with_receiver(|receiver| mem::take(&mut receiver.errors)).unwrap_or_default()
 }
 
-/// The controller's part of what the board tells of itself: frames.
+/// The controller's part of the board's usage, in frames.
 pub(crate) fn can_usage() -> Usage {
     let usage = |receiver: &mut Receiver| Usage {
         queued: receiver.most as u32,
@@ -90,7 +90,7 @@ fn CAN1_RX0() {
                     Ok(()) => continue,
                     Err(_) => &mut receiver.errors.dropped,
                 },
-                // Reading has cleared it.
+                // Reading it has cleared it.
                 Err(nb::Error::Other(_)) => &mut receiver.errors.overruns,
                 Err(nb::Error::WouldBlock) => break,
             };

@@ -11,10 +11,10 @@ use myactuator_protocol_core::{Packet, wire};
 use super::mailboxes::Mailboxes;
 use super::port::CanPort;
 
-/// How long a frame may wait for a mailbox: some other frames.
+/// How long a frame may wait for a mailbox: the time of some other frames.
 const FRAME_MICROS: u32 = 2_000;
 
-/// Runs the application on the bus for ever.
+/// Runs the application on the bus forever.
 pub fn run_can(port: CanPort, time: TimeBase, board: &mut impl Board, cause: RestartCause) -> ! {
     let mut bus = CanMaster::<_, _, MOTORS>::new(port, time, Config::CAN);
     let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 };
@@ -22,21 +22,20 @@ pub fn run_can(port: CanPort, time: TimeBase, board: &mut impl Board, cause: Res
     run(&mut bus, board, setup, cause)
 }
 
-/// What is to be done on a panic, a fault and whatever else nobody has expected: stops the motors, and
-/// restarts.
+/// The end after a panic, a fault, or an exception without a handler: stops the motors, and restarts.
 pub extern "C" fn end_on_can(at: u32) -> ! {
     end(at, take_bus, say)
 }
 
-/// The bus, without what was about to be sent: it may be a set-point.
+/// Takes the bus, and drops what was about to be sent: it may be a set-point.
 fn take_bus() -> Mailboxes {
     let mut mailboxes = Mailboxes::take();
     mailboxes.abort();
     mailboxes
 }
 
-/// Sends a packet, and waits until it has left, so that the reset does not take it back. Gives up on a bus
-/// that takes nothing.
+/// Sends a packet, and waits until it was sent, so that the reset does not take it back. Gives up on a bus that takes
+/// nothing.
 fn say(mailboxes: &mut Mailboxes, packet: &Packet) {
     let Some(frame) = wire::can::encode::<Frame>(packet) else { return };
     if mailboxes.send(&frame) {

@@ -10,7 +10,7 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::MaxSpeed;
 use nucleo_g474re::{EmbassyClock, MOTORS, Nucleo, RS485_BIT_RATE, motors, rs485, start};
 
-/// Whether the transceiver hands back what is sent: not where its RE is wired to its DE.
+/// Whether the transceiver echoes what is sent. It does not if its RE is wired to its DE.
 const ECHO: bool = false;
 
 #[embassy_executor::main]
@@ -21,7 +21,7 @@ async fn main(_spawner: Spawner) -> ! {
     let config = Config::rs485(RS485_BIT_RATE, ECHO);
     let mut bus = AsyncSerialMaster::<_, _, MOTORS>::new(port, EmbassyClock, config);
     let movement = Movement::Position { max_speed: MaxSpeed::from_raw(200) };
-    // A frame takes 1.1 ms, and a cycle that begins meanwhile begins late.
+    // A frame takes 1.1 ms. A cycle that begins meanwhile begins late.
     let cycle = Duration::from_millis(4);
     let setup = Setup { search: motors(), cycle, ..Setup::new(movement) };
     run_async(&mut bus, &mut board, setup, cause).await
