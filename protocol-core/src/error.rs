@@ -4,7 +4,7 @@ use crate::opcode::Opcode;
 use crate::packet::Channel;
 use crate::quantity::OutOfRange;
 
-/// Why a data field does not mean anything.
+/// Why a data field cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -13,7 +13,7 @@ pub enum DecodeError {
     /// The command byte is not in the table.
     #[error("command byte 0x{0:02X} is in no table of commands")]
     UnknownOpcode(u8),
-    /// The command byte is another than the asked-for kind's.
+    /// The command byte is not that of the requested kind.
     #[error("expected {expected}, found command byte 0x{found:02X}")]
     WrongOpcode {
         /// The kind that was to be decoded.
@@ -21,7 +21,7 @@ pub enum DecodeError {
         /// The command byte found.
         found: u8,
     },
-    /// The kind does not travel on that channel.
+    /// The kind does not occur on that channel.
     #[error("{opcode} does not travel as {channel}")]
     WrongChannel {
         /// The kind that the data field names.
@@ -52,40 +52,39 @@ pub enum DecodeError {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub enum RequestError {
-    /// The command goes to one motor; there is no form of it for all (motion mode).
+    /// The command has no form for all motors (motion mode).
     #[error("{0} goes to one motor only: name its id")]
     OneMotorOnly(Opcode),
-    /// The command goes to whatever is connected and names no motor (bus id setting).
+    /// The command goes to all connected motors and names none (bus id setting).
     #[error("{0} reaches every motor that is connected and names none: send it to all")]
     AllMotorsOnly(Opcode),
     /// The command exists on CAN only.
     #[error("{0} exists on CAN only")]
     CanOnly(Opcode),
-    /// A request to that motor, its stop, or a broadcast, is still under way: wait for its outcome. A stop stays under way
-    /// for as long as the bus takes nothing.
+    /// A request to that motor, its stop, or a broadcast is still in flight: wait for its outcome. A stop stays in
+    /// flight for as long as the bus takes nothing.
     #[error(
         "an earlier request, or a stop that the bus does not take, is under way: wait for its outcome"
     )]
     Busy,
-    /// The motor reports this reply by itself (0xB6) and does not answer when asked for it.
+    /// The motor reports this reply on its own (0xB6) and does not answer a request for it.
     #[error("{0} is reported by the motor itself, which then does not answer it")]
     Reported(Opcode),
-    /// The motor follows a stream of set-points of this kind, whose feedback looks like a reply to
-    /// this: put it in the stream, or wait for the late window after the last set-point.
+    /// The motor follows a stream of set-points of this kind, and their feedback looks like a reply to this. Put it in
+    /// the stream, or wait for the late window after the last set-point.
     #[error("the motor follows a stream of {0}: put this in the stream too")]
     Streamed(Opcode),
     /// The command does not replace the one before it, so it cannot be streamed.
     #[error("{0} acts with each sending, so it is no set-point: request it")]
     NotASetPoint(Opcode),
-    /// The master has no place left for one more motor.
+    /// The master has no place for another motor.
     #[error("this master is made for {capacity} motors: make it larger")]
     TooManyMotors {
-        /// How many it is made for.
+        /// How many places it has.
         capacity: usize,
     },
-    /// The motor has restarted or [may have](crate::master::Event::Restarted), so that its turns may be lost. If it has
-    /// not, it may be turning yet: stop it, see where it is, and then
-    /// [resume](crate::master::Master::resume).
+    /// The motor has restarted or [may have](crate::master::Event::Restarted), so its turns may be lost. If it has not,
+    /// it may still be turning: stop it, read its angle, and then [resume](crate::master::Master::resume).
     #[error(
         "the motor may have restarted (it was silent for a second, for example): stop it, see where it is, then \
          lift the stop and resume"

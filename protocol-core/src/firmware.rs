@@ -1,14 +1,14 @@
-//! Which revision of the protocol a drive speaks.
+//! The revision of the protocol that a drive speaks.
 
 use core::fmt;
 use core::str::FromStr;
 
-/// A revision of the protocol, as a drive's firmware speaks it. It decides which commands there are,
-/// how their fields lie, and what the scales of motion mode are.
+/// A revision of the protocol, as a drive's firmware speaks it. It decides which commands there are, how their fields
+/// are laid out, and what the scales of motion mode are.
 ///
-/// Frames do not say which firmware they are from, and a wrong guess multiplies torques; so whoever
-/// decodes says which one it is. A drive's version date (0xB2) leads to it only where the date is
-/// known: see [`Firmware::of_version_date`].
+/// Frames do not say which firmware they are from, and a wrong guess multiplies torques. So the caller that decodes
+/// passes the firmware. A drive's version date (0xB2) tells the firmware only if the date is known: see
+/// [`Firmware::of_version_date`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -17,9 +17,9 @@ pub enum Firmware {
     /// V4.3 of May 2025: all that its manual describes.
     #[cfg_attr(feature = "serde", serde(rename = "v4.3"))]
     V4_3,
-    /// V4.4 of September 2025, as far as this library knows it: what it shares with V4.3, and its own
-    /// 0x94. What it has changed or dropped beside (0x79, 0x90, 0xB4, 0xB5) and its new commands are
-    /// unknown here, and so are the scales of its motion mode, which depend on the motor.
+    /// V4.4 of September 2025, as far as this library knows it: what it shares with V4.3, and its own 0x94. Unknown
+    /// here are what else it has changed or dropped (0x79, 0x90, 0xB4, 0xB5), its new commands, and the scales of its
+    /// motion mode, which depend on the motor.
     #[cfg_attr(feature = "serde", serde(rename = "v4.4"))]
     V4_4,
 }
@@ -43,7 +43,7 @@ impl fmt::Display for Firmware {
     }
 }
 
-/// A text that names no firmware.
+/// A text that is not the name of a firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnknownFirmware;
 
@@ -56,7 +56,7 @@ impl fmt::Display for UnknownFirmware {
 
 impl core::error::Error for UnknownFirmware {}
 
-/// By its name, whatever its case.
+/// Reads its name, ignoring case.
 impl FromStr for Firmware {
     type Err = UnknownFirmware;
     fn from_str(name: &str) -> Result<Self, UnknownFirmware> {

@@ -1,4 +1,4 @@
-//! Which motor is meant: [`MotorId`] and [`Target`].
+//! Motor ids and the targets of commands: [`MotorId`] and [`Target`].
 
 use core::fmt::{self, Write as _};
 use core::num::NonZeroU8;
@@ -13,11 +13,11 @@ use crate::quantity::{Given, OutOfRange, Quantity};
 pub struct MotorId(NonZeroU8);
 
 impl MotorId {
-    /// What a motor id may be.
+    /// The allowed ids.
     pub const QUANTITY: Quantity = Quantity::whole("motor id", 1, 32);
     /// How many ids there are.
     pub const COUNT: usize = 32;
-    /// The smallest id, 1: what a drive leaves the factory with.
+    /// The smallest id, 1, with which drives leave the factory.
     pub const MIN: Self = Self(NonZeroU8::MIN);
 
     /// A motor id from its number.
@@ -43,7 +43,7 @@ impl MotorId {
         self.0.get()
     }
 
-    /// The place of this motor in an array of [`COUNT`](Self::COUNT), 0 to 31.
+    /// The index of this motor in an array of [`COUNT`](Self::COUNT), 0 to 31.
     #[inline]
     pub const fn index(self) -> usize {
         (self.get() - 1) as usize
@@ -68,13 +68,13 @@ impl From<MotorId> for u8 {
     }
 }
 
-/// A text that is no motor id.
+/// A text that is not a motor id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAMotorId {
-    /// It is no whole number.
+    /// It is not a whole number.
     #[error("{}, but no number was given", MotorId::QUANTITY)]
     NotANumber,
-    /// It is another number.
+    /// The number is not allowed.
     #[error("{0}")]
     OutOfRange(OutOfRange),
 }
@@ -107,7 +107,7 @@ impl defmt::Format for MotorId {
     }
 }
 
-/// To whom a command goes: one motor, or all on the bus (manual 3 and 6).
+/// The target of a command: one motor, or all on the bus (manual 3 and 6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -116,9 +116,9 @@ pub enum Target {
     Motor(MotorId),
     /// Every motor on the bus: RS485 address 0xCD, CAN identifier 0x280.
     ///
-    /// On CAN it reaches only the drives whose id filter is off
-    /// ([function 2](crate::command::FunctionControl::CanIdFilter), 2.35.4, 2.35.5). The others neither
-    /// obey nor answer: where all must hear a command, a stop above all, send it to each.
+    /// On CAN it reaches only the drives whose id filter is off ([function
+    /// 2](crate::command::FunctionControl::CanIdFilter), 2.35.4, 2.35.5). The others neither obey nor answer. So send a
+    /// command that all must hear, above all a stop, to each motor.
     All,
 }
 

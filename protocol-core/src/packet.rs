@@ -1,14 +1,14 @@
 //! The kinds of traffic on a bus, and a data field on one of them.
 //!
-//! Both wires map their addresses to a [`Channel`] and back; everything above them speaks of
-//! channels and never of identifiers or address bytes.
+//! Both wires map their addresses to a [`Channel`] and back. Everything above them uses channels, and no identifiers or
+//! address bytes.
 
 use core::fmt;
 
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 
-/// Who speaks to whom, and in which of the protocol's three forms.
+/// Sender and receiver of a frame, and which of the protocol's three forms it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -17,7 +17,7 @@ pub enum Channel {
     Command(Target),
     /// A motor's reply.
     Reply(MotorId),
-    /// Bus id setting and its reply (manual 4, 7): no motor is named, all that are connected listen.
+    /// Bus id setting and its reply (manual 4, 7). It names no motor; all connected motors listen.
     BusId,
     /// A motion (MIT) mode command to one motor, CAN only (manual 5).
     Motion(MotorId),
@@ -37,19 +37,19 @@ impl fmt::Display for Channel {
     }
 }
 
-/// One frame without its framing: a data field and the channel it travels on.
+/// A frame without its framing: a data field and its channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Packet {
-    /// Who speaks to whom.
+    /// Sender, receiver and form.
     pub channel: Channel,
     /// The eight data bytes.
     pub data: Data,
 }
 
 impl Packet {
-    /// Whether it is one of motion mode, whose data has no command byte.
+    /// Whether it is a packet of motion mode, whose data has no command byte.
     #[inline]
     pub(crate) const fn is_motion(&self) -> bool {
         matches!(self.channel, Channel::Motion(_) | Channel::MotionReply(_))

@@ -1,8 +1,8 @@
-//! What a value is and what it may be: [`Quantity`], and the error for what it may not.
+//! What a value is and which values are allowed: [`Quantity`], and the error for one that is not allowed.
 //!
-//! Every type of [`units`](crate::units), every code and every flag set publishes its own as
-//! `QUANTITY`; a [`Field`](crate::command::Field) refers to it. So whoever prints, parses or
-//! tabulates a value needs no second list.
+//! Every type of [`units`](crate::units), every code and every flag set publishes its own as `QUANTITY`, and a
+//! [`Field`](crate::command::Field) refers to it. So code that prints, parses or tabulates a value needs no second
+//! list.
 
 use core::fmt;
 
@@ -46,13 +46,12 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// For people, behind a number: `"dps/s"`; empty for a bare number.
+    /// For people, after a number: `"dps/s"`; empty for a bare number.
     pub const fn symbol(self) -> &'static str {
         self.words().0
     }
 
-    /// For programs, at the end of a key: `"dps2"` as in `acceleration_dps2`; empty where a key needs
-    /// none.
+    /// For programs, at the end of a key: `"dps2"` as in `acceleration_dps2`; empty if a key needs none.
     pub const fn key(self) -> &'static str {
         self.words().1
     }
@@ -82,21 +81,21 @@ impl Unit {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Steps {
-    /// The smallest allowed number on the wire. Below 0 the number has a sign.
+    /// The smallest allowed number on the wire. If it is below 0, the number has a sign.
     pub min: i64,
     /// The largest allowed number on the wire.
     pub max: i64,
-    /// What 0 means where it is no amount like the others ("no limit"). It is allowed then, whatever
-    /// `min` says, and no other amount is ever rounded to it.
+    /// What 0 means if it is not an amount like the others ("no limit"). Then it is allowed, whatever `min` is, and no
+    /// other amount is ever rounded to it.
     pub zero: Option<&'static str>,
-    /// A step in the unit, above the line: 1 or 10.
+    /// The numerator of a step in the unit: 1 or 10.
     pub numerator: u8,
-    /// A step in the unit, below the line: 1, 10 or 100.
+    /// The denominator of a step in the unit: 1, 10 or 100.
     pub denominator: u8,
 }
 
 impl Steps {
-    /// How many of them make one unit.
+    /// How many steps make one unit.
     pub const fn per_unit(&self) -> f64 {
         self.denominator as f64 / self.numerator as f64
     }
@@ -140,7 +139,7 @@ impl MotionScale {
     /// All five, in the order of a command's bytes.
     pub const ALL: [Self; 5] = [Self::Position, Self::Velocity, Self::Kp, Self::Kd, Self::Torque];
 
-    /// What its values are.
+    /// Its quantity.
     pub const fn quantity(self) -> &'static Quantity {
         const fn named(name: &'static str, unit: Unit, scale: MotionScale) -> Quantity {
             Quantity { name, unit, form: Form::Motion(scale) }
@@ -156,7 +155,7 @@ impl MotionScale {
     }
 }
 
-/// How a value is written in its bits.
+/// How a value is encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -165,23 +164,23 @@ pub enum Form {
     Steps(Steps),
     /// A finite `f32`.
     Float,
-    /// A number that stands for something; others than these are kept.
+    /// A code: a number with a name. Numbers without a name are kept.
     Code(&'static [Name]),
     /// 0 for off, 1 for on.
     Switch,
-    /// A bit for each of these; others are kept.
+    /// A flag for each of these bits. Other bits are kept.
     Flags(&'static [Name]),
-    /// A date as a decimal number, YYYYMMDD, perhaps with a two-digit build number behind it.
+    /// A date as a decimal number, YYYYMMDD, possibly followed by a two-digit build number.
     Date,
-    /// ASCII characters, filled up with zeros.
+    /// ASCII characters, padded with zeros.
     Text,
-    /// A motor id, as its reply identifier or bare in one of two bytes (4.3, 7.3).
+    /// A motor id, as its reply identifier or as a bare number in one of two bytes (4.3, 7.3).
     ReplyIdentifier,
     /// A step between the ends of a scale of motion mode.
     Motion(MotionScale),
 }
 
-/// What a value is: its name, unit and form, range included.
+/// What a value is: its name, its unit, and its form with its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Quantity {
@@ -189,18 +188,18 @@ pub struct Quantity {
     pub name: &'static str,
     /// Its unit.
     pub unit: Unit,
-    /// How it is written, and what it may be.
+    /// How it is encoded, and which values are allowed.
     pub form: Form,
 }
 
 impl Quantity {
-    /// A whole number of `min` to `max`.
+    /// A whole number from `min` to `max`.
     pub const fn whole(name: &'static str, min: i64, max: i64) -> Self {
         let steps = Steps { min, max, zero: None, numerator: 1, denominator: 1 };
         Self { name, unit: Unit::None, form: Form::Steps(steps) }
     }
 
-    /// The amount of so many steps, in the unit. (Of other forms: the number itself.)
+    /// The amount of this many steps, in the unit. (For other forms: the number itself.)
     pub const fn amount(&self, raw: i64) -> f64 {
         match self.form {
             Form::Steps(steps) => raw as f64 * steps.numerator as f64 / steps.denominator as f64,
@@ -222,8 +221,8 @@ impl Quantity {
         }
     }
 
-    /// The step nearest to an amount in the unit. What is not 0 never becomes a 0 that means something
-    /// of its own.
+    /// The step nearest to an amount in the unit. An amount that is not 0 never becomes a 0 that has a meaning of its
+    /// own.
     ///
     /// # Errors
     /// [`OutOfRange`] for NaN and for what the quantity does not allow.
@@ -250,13 +249,13 @@ impl Quantity {
         }
     }
 
-    /// The name that a number has as a code, `None` where it has none.
+    /// The name of a number as a code; `None` if it has none.
     pub fn name_of(&self, raw: i64) -> Option<&'static str> {
         let Form::Code(names) = self.form else { return None };
         names.iter().find(|name| i64::from(name.raw) == raw).map(|name| name.name)
     }
 
-    /// The number of the code with this name, `None` where there is none.
+    /// The number of the code with this name; `None` if there is none.
     pub fn code_of(&self, name: &str) -> Option<u16> {
         let Form::Code(names) = self.form else { return None };
         names.iter().find(|code| code.name == name).map(|code| code.raw)
@@ -299,11 +298,11 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// Where a value lies in a data field.
+/// Where a value is in a data field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Place {
-    /// Whole bytes, the low byte first.
+    /// Whole bytes, low byte first.
     Bytes {
         /// The first of them.
         first: u8,
@@ -320,7 +319,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// How many bits lie there, at most 64.
+    /// How many bits it has, at most 64.
     pub const fn bits(self) -> u32 {
         let bits = match self {
             Self::Bytes { count, .. } => count as u32 * 8,
@@ -333,7 +332,7 @@ impl Place {
         if self.bits() == 0 { 0 } else { u64::MAX >> (64 - self.bits()) }
     }
 
-    /// How far up from the lowest bit they lie, in the order of bytes that they have.
+    /// How far the bits are shifted up from the lowest bit, in their byte order.
     const fn shift(self) -> u32 {
         match self {
             Self::Bytes { first, .. } => first as u32 * 8 % 64,
@@ -341,7 +340,7 @@ impl Place {
         }
     }
 
-    /// The bits of a data field that lie there, as a number without sign.
+    /// Reads these bits of a data field, as an unsigned number.
     pub const fn get(self, data: &Data) -> u64 {
         let all = match self {
             Self::Bytes { .. } => u64::from_le_bytes(*data),
@@ -350,7 +349,7 @@ impl Place {
         all >> self.shift() & self.low_bits()
     }
 
-    /// Puts the low bits of a number there.
+    /// Writes the low bits of a number to these bits.
     pub const fn put(self, data: &mut Data, bits: u64) {
         let mask = self.low_bits() << self.shift();
         let bits = bits << self.shift() & mask;
@@ -381,8 +380,8 @@ pub struct OutOfRange {
     pub given: Given,
 }
 
-/// A value as it was given. It is turned into its quantity's unit only when somebody looks: firmware
-/// that refuses a value and does not print it needs no arithmetic with `f64`.
+/// A value as it was given. It is converted to its quantity's unit only when it is read, so firmware that refuses a
+/// value and does not print it needs no arithmetic with `f64`.
 #[derive(Clone, Copy)]
 pub struct Given(Kind);
 
@@ -393,7 +392,7 @@ enum Kind {
         per_unit: u16,
     },
     Single(f32),
-    /// The bits of an `f64` in two halves, for an `f64` would make every error eight bytes larger.
+    /// The bits of an `f64` in two halves, since an `f64` would make every error eight bytes larger.
     Double {
         high: u32,
         low: u32,
@@ -401,7 +400,7 @@ enum Kind {
 }
 
 impl Given {
-    /// An integer on the wire, of which `per_unit` make one unit.
+    /// An integer on the wire; `per_unit` of them make one unit.
     pub(crate) const fn steps(raw: u32, per_unit: u16) -> Self {
         Self(Kind::Steps { raw, per_unit })
     }
@@ -442,7 +441,7 @@ impl Eq for Given {}
 impl fmt::Display for Given {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0 {
-            // As it was written: the same in f64 has digits that nobody gave.
+            // As it was given: the same number in f64 has digits that were not given.
             Kind::Single(value) => value.fmt(f),
             Kind::Steps { .. } | Kind::Double { .. } => self.value().fmt(f),
         }
@@ -547,7 +546,7 @@ mod tests {
             let set: u32 = data.iter().map(|byte| byte.count_ones()).sum();
             assert_eq!((place.get(&data), set), (0, 64 - place.bits()), "{place:?}");
         }
-        // Whatever somebody makes up, nothing panics.
+        // No made-up value panics.
         for (first, count) in [(0, 0), (0, 9), (60, 12), (255, 255), (64, 64), (7, 2)] {
             for place in [Place::Bytes { first, count }, Place::Bits { first, count }] {
                 let mut data = [0xA5; 8];

@@ -1,7 +1,7 @@
-//! Points in time and spans of it, in microseconds.
+//! Points in time and spans of time, in microseconds.
 //!
-//! The state machines read no clock: whoever runs them says what time it is. Any clock will do that
-//! counts microseconds from any start and never runs backwards.
+//! The state machines read no clock: their caller passes the time. Any clock will do that counts microseconds from any
+//! start and never runs backwards.
 
 use core::fmt::{self, Write as _};
 use core::ops::{Add, AddAssign, Sub};
@@ -31,17 +31,17 @@ impl Duration {
     /// No time at all.
     pub const ZERO: Self = Self(0);
 
-    /// A span of so many microseconds.
+    /// A span of this many microseconds.
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// A span of so many milliseconds; the longest there is where that does not fit.
+    /// A span of this many milliseconds. Saturates at the longest span.
     pub const fn from_millis(millis: u64) -> Self {
         Self(millis.saturating_mul(1_000))
     }
 
-    /// A span of so many seconds; the longest there is where that does not fit.
+    /// A span of this many seconds. Saturates at the longest span.
     pub const fn from_secs(secs: u64) -> Self {
         Self(secs.saturating_mul(1_000_000))
     }
@@ -61,7 +61,7 @@ impl Duration {
         self.0 as f32 / 1e6
     }
 
-    /// The span `factor` times; the longest there is where that does not fit.
+    /// The span times `factor`. Saturates at the longest span.
     #[must_use]
     pub const fn times(self, factor: u32) -> Self {
         Self(self.0.saturating_mul(factor as u64))
@@ -72,12 +72,12 @@ impl Instant {
     /// The start of the clock.
     pub const ZERO: Self = Self(0);
 
-    /// The point so many microseconds after the clock's start.
+    /// The point this many microseconds after the clock's start.
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// The point so many milliseconds after the clock's start.
+    /// The point this many milliseconds after the clock's start.
     pub const fn from_millis(millis: u64) -> Self {
         Self(millis.saturating_mul(1_000))
     }
@@ -95,7 +95,7 @@ impl Add for Duration {
     }
 }
 
-/// Zero where the other is longer.
+/// Zero if the other is longer.
 impl Sub for Duration {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
@@ -116,7 +116,7 @@ impl AddAssign<Duration> for Instant {
     }
 }
 
-/// The span from the other point to this one; zero where the other is later.
+/// The span from the other point to this one; zero if the other is later.
 impl Sub for Instant {
     type Output = Duration;
     fn sub(self, earlier: Self) -> Duration {
@@ -124,7 +124,7 @@ impl Sub for Instant {
     }
 }
 
-/// The longest span there is where microseconds in 64 bits do not hold it (584,000 years).
+/// Saturates at the longest span, 64 bits of microseconds (584,000 years).
 impl From<core::time::Duration> for Duration {
     fn from(span: core::time::Duration) -> Self {
         Self(u64::try_from(span.as_micros()).unwrap_or(u64::MAX))
@@ -153,7 +153,7 @@ mod with_fugit {
         }
     }
 
-    // Wrapping instants have no total order, so only monotonic ones are points on our line.
+    // Wrapping instants have no total order, so only monotonic ones can be converted.
     impl From<fugit::MonotonicTimerInstantU64<1_000_000>> for Instant {
         fn from(point: fugit::MonotonicTimerInstantU64<1_000_000>) -> Self {
             Self(point.as_ticks())

@@ -1,4 +1,4 @@
-//! CAN identifiers, and any HAL's frames (manual 1.1, 3, 4, 5).
+//! CAN identifiers, and the conversion to and from the frames of any HAL (manual 1.1, 3, 4, 5).
 //!
 //! | identifier | carries |
 //! |---|---|
@@ -9,7 +9,7 @@
 //! | 0x400 + id | motion mode command |
 //! | 0x500 + id | its reply |
 //!
-//! Standard identifiers, data frames, always eight bytes.
+//! All are data frames with standard identifiers and eight bytes.
 
 use embedded_can::{Frame, Id, StandardId};
 
@@ -37,7 +37,7 @@ pub const fn identifier(channel: Channel) -> u16 {
     }
 }
 
-/// The channel of an identifier, `None` for one that is not the protocol's.
+/// The channel of an identifier; `None` if the protocol does not use it.
 #[inline]
 pub const fn channel_at(identifier: u16) -> Option<Channel> {
     match identifier {
@@ -57,25 +57,25 @@ pub const fn channel_at(identifier: u16) -> Option<Channel> {
     }
 }
 
-/// What a frame from the bus is. Only [`Packet`](Self::Packet) is the protocol's; the rest is reported
-/// apart for those who watch a bus, and is no reason to stop one.
+/// What a frame from the bus is. Only [`Packet`](Self::Packet) belongs to the protocol. The others are reported for
+/// programs that watch a bus. They are no reason to stop one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Received {
     /// A frame of the protocol.
     Packet(Packet),
-    /// An identifier of the protocol with another length than eight bytes. Some drives send such
-    /// frames; what they say is not defined.
+    /// An identifier of the protocol, with a length other than eight bytes. Some drives send such frames; their meaning
+    /// is not defined.
     WrongLength {
-        /// Where it came on.
+        /// Its channel.
         channel: Channel,
         /// How many data bytes it had.
         length: usize,
-        /// Its first byte, the command byte where there is one.
+        /// Its first byte: the command byte if it has one.
         first: Option<u8>,
     },
-    /// A standard identifier that is not the protocol's.
+    /// A standard identifier that the protocol does not use.
     Foreign(u16),
     /// A frame with an extended identifier.
     Extended(u32),
@@ -83,7 +83,7 @@ pub enum Received {
     Remote,
 }
 
-/// What this frame is.
+/// Decodes a frame.
 #[inline]
 pub fn decode<F: Frame>(frame: &F) -> Received {
     let raw = match frame.id() {
@@ -103,7 +103,7 @@ pub fn decode<F: Frame>(frame: &F) -> Received {
     }
 }
 
-/// The frame that carries a packet. `None` only from a HAL that refuses eight bytes.
+/// The frame that carries a packet. `None` only if a HAL refuses eight bytes.
 ///
 /// ```
 /// use myactuator_protocol_core::{Channel, MotorId, Packet, Target, command::Stop, wire::can};
@@ -122,7 +122,7 @@ pub fn encode<F: Frame>(packet: &Packet) -> Option<F> {
     F::new(StandardId::new(identifier(packet.channel))?, &packet.data)
 }
 
-/// A frame in memory, for those who have no HAL: tests, simulated buses, loggers.
+/// A frame in memory, for code without a HAL: tests, simulated buses, loggers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimpleFrame {
     id: Id,

@@ -1,4 +1,4 @@
-//! How a data field is framed on each bus. No meanings here: those are [`command`](crate::command)'s.
+//! How a data field is framed on each bus. What its bytes mean is in [`command`](crate::command).
 
 pub mod can;
 pub mod rs485;

@@ -1,4 +1,4 @@
-//! RS485 framing: `3E id 08 D0..D7 CRClow CRChigh`, and a receiver fed byte by byte (manual 1.2, 6).
+//! RS485 framing, `3E id 08 D0..D7 CRClow CRChigh`, and a receiver that takes one byte after the other (manual 1.2, 6).
 
 use crc::{CRC_16_MODBUS, Crc, NoTable};
 
@@ -16,15 +16,15 @@ pub const ALL: u8 = 0xCD;
 const DATA_LENGTH: u8 = 8;
 const LAST_PLACE: usize = FRAME_LENGTH - 1;
 
-/// Where the CRC starts.
+/// The CRC's initial value.
 const CRC_START: u16 = CRC_16_MODBUS.init;
 /// The CRC of the first byte of every frame.
 const CRC_OF_HEADER: u16 = crc_over(CRC_START, HEADER);
-/// What the CRC of a frame comes to when it runs on over its own two bytes.
+/// The CRC over a whole frame, including its own two bytes.
 const CRC_GOOD: u16 = 0;
 
-/// The CRC of each single byte from 0. The manual says "CRC16, low byte first" (1.2.2); drives use
-/// MODBUS's.
+/// The CRC of each single byte, starting from 0. The manual says "CRC16, low byte first" (1.2.2); drives use that of
+/// MODBUS.
 static CRC_OF_BYTE: [u16; 256] = {
     let crc = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
     let mut table = [0; 256];
@@ -38,7 +38,7 @@ static CRC_OF_BYTE: [u16; 256] = {
     table
 };
 
-/// The CRC of one byte more.
+/// Adds one byte to a CRC.
 #[inline(always)]
 const fn crc_over(crc: u16, byte: u8) -> u16 {
     CRC_OF_BYTE[(crc as u8 ^ byte) as usize] ^ crc >> 8
@@ -46,21 +46,21 @@ const fn crc_over(crc: u16, byte: u8) -> u16 {
 
 /// One frame on the line.
 ///
-/// On RS485 a command and its reply look the same: both carry the motor's address. Which it is,
-/// knows only who listens; see [`as_command`](Self::as_command) and [`as_reply`](Self::as_reply).
+/// On RS485 a command and its reply look the same: both carry the motor's address. Only the receiver knows which one it
+/// is; see [`as_command`](Self::as_command) and [`as_reply`](Self::as_reply).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Frame {
-    /// Whose frame it is: one motor's, or all motors'.
+    /// The address: one motor's, or that of all motors.
     pub address: Target,
     /// The eight data bytes.
     pub data: Data,
 }
 
 impl Frame {
-    /// The frame that carries a packet; `None` for what RS485 does not have: motion mode, active reply
-    /// (0xB6), and on the channel of bus ids anything but those, which would be a command to all.
+    /// The frame that carries a packet. `None` for what RS485 does not have: motion mode, active reply (0xB6), and, on
+    /// the channel of bus ids, any other command, which would become a command to all.
     #[inline]
     pub const fn from_packet(packet: &Packet) -> Option<Self> {
         let address = match packet.channel {
@@ -75,8 +75,8 @@ impl Frame {
         }
     }
 
-    /// The frame in 13 bytes that are known to be one: from a DMA buffer, or the `idle` interrupt of a
-    /// serial port. Where frames begin is not known, use a [`Receiver`].
+    /// Decodes 13 bytes that are known to be a frame: from a DMA buffer, or after the `idle` interrupt of a serial
+    /// port. If it is not known where frames begin, use a [`Receiver`].
     ///
     /// # Errors
     /// What is wrong with the bytes.
@@ -137,7 +137,7 @@ impl Frame {
             Target::All => ALL,
         };
         let [a, b, c, d, e, f, g, h] = self.data;
-        // Byte after byte rather than over an array, which would first have to be written to memory.
+        // Byte by byte, because an array would first have to be written to memory.
         let crc = crc_over(crc_over(CRC_OF_HEADER, address), DATA_LENGTH);
         let crc = crc_over(crc_over(crc_over(crc_over(crc, a), b), c), d);
         let crc = crc_over(crc_over(crc_over(crc_over(crc, e), f), g), h);
@@ -158,16 +158,16 @@ const fn address(byte: u8) -> Option<Target> {
     }
 }
 
-/// What a byte led to.
+/// The outcome of a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Fed {
-    /// It may be part of a frame: more bytes are wanted.
+    /// It may be part of a frame, which needs more bytes.
     Wanting,
     /// It completed a frame.
     Frame(Frame),
-    /// What was held is no frame, and was thrown away up to the next possible start.
+    /// The bytes held were no frame, and were discarded up to the next possible start.
     Discarded {
         /// How many bytes.
         bytes: usize,
@@ -176,12 +176,12 @@ pub enum Fed {
     },
 }
 
-/// Why bytes are no frame.
+/// Why bytes are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Fault {
-    /// It does not begin with 0x3E.
+    /// They do not begin with 0x3E.
     #[error("a frame begins with 3E")]
     Header,
     /// The address is neither 1 to 32 nor 0xCD.
@@ -197,8 +197,8 @@ pub enum Fault {
 
 /// Finds frames in a stream of bytes.
 ///
-/// After garbage or a bad CRC it looks through what it holds for the next possible start, so that
-/// no good frame behind a bad start is lost.
+/// After garbage or a bad CRC it searches the bytes it holds for the next possible start, so that no good frame after a
+/// bad start is lost.
 ///
 /// ```
 /// use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
@@ -219,9 +219,9 @@ pub enum Fault {
 pub struct Receiver {
     held: [u8; FRAME_LENGTH],
     length: usize,
-    /// The CRC over what is held.
+    /// The CRC over the bytes held.
     crc: u16,
-    /// What the second byte says, once it is held.
+    /// The address of the second byte, once that is held.
     address: Target,
 }
 
@@ -246,8 +246,8 @@ impl Receiver {
         }
     }
 
-    /// Forgets a frame that has begun, and returns how many bytes were held. For masters that start a
-    /// new exchange after a silence.
+    /// Drops a frame that has begun, and returns how many bytes were held. For masters that start a new exchange after
+    /// a silence.
     pub fn reset(&mut self) -> usize {
         self.crc = CRC_START;
         core::mem::take(&mut self.length)
@@ -258,17 +258,17 @@ impl Receiver {
         self.length > 0
     }
 
-    /// Holds one byte more, and returns whether with it this is a frame, or cannot become one.
+    /// Holds one more byte. Returns whether the frame is complete, or why this cannot become one.
     #[inline(always)]
     fn push(&mut self, byte: u8) -> Result<bool, Fault> {
         let place = self.length;
-        // There is always room: 13 bytes are a frame or are cut down before the next byte.
+        // There is always room: 13 bytes are a frame, or are cut down before the next byte.
         let Some(room) = self.held.get_mut(place) else { return Ok(false) };
         *room = byte;
         self.length = place + 1;
         self.crc = crc_over(self.crc, byte);
         match place {
-            // Most bytes of a frame: nothing more is looked at.
+            // Most bytes of a frame are not checked.
             3..LAST_PLACE => return Ok(false),
             0 if byte != HEADER => return Err(Fault::Header),
             1 => self.address = address(byte).ok_or(Fault::Address)?,
@@ -286,13 +286,13 @@ impl Receiver {
         Fed::Frame(Frame { address: self.address, data: *data })
     }
 
-    /// Throws away what cannot be the start of a frame.
+    /// Discards what cannot be the start of a frame.
     #[cold]
     fn resume_after(&mut self, fault: Fault) -> Fed {
         let before = self.reset();
         let held = self.held;
         let held = held.get(..before).unwrap_or(&held);
-        // What is left is shorter than a frame, so it can only be wanting or wrong again.
+        // What is left is shorter than a frame, so it can only be incomplete or wrong again.
         for start in 1..before {
             let rest = held.get(start..).unwrap_or(&[]);
             if rest.iter().all(|&byte| self.push(byte).is_ok()) {
@@ -326,7 +326,7 @@ mod tests {
 
     #[test]
     fn the_crc_is_that_of_modbus() {
-        // The check value that catalogues of CRCs give for it.
+        // The check value from catalogues of CRCs.
         let crc = b"123456789".iter().fold(CRC_START, |crc, &byte| crc_over(crc, byte));
         assert_eq!(crc, 0x4B37);
     }
