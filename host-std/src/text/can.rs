@@ -5,10 +5,10 @@ use std::fmt;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-/// The bit that the interface sets in the identifier of its own error reports.
+/// The bit that an interface sets in the identifier of its own error reports.
 const ERROR_FRAME: u32 = 0x2000_0000;
 
-/// Text that is no classic CAN data or remote frame.
+/// Why a text is not a classic CAN data or remote frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAFrame {
     /// Neither `ID#DATA` nor a line of candump.
@@ -22,10 +22,10 @@ pub enum NotAFrame {
     /// The data are not whole bytes in hexadecimal, at most eight.
     #[error("expected up to 8 data bytes of two hexadecimal digits each, found \"{0}\"")]
     Data(String),
-    /// candump's length and its bytes disagree.
+    /// candump's length and bytes disagree.
     #[error("the length says {told} data bytes, but the line has {found}")]
     Length {
-        /// The length told.
+        /// The length in the text.
         told: usize,
         /// The bytes found.
         found: usize,
@@ -33,7 +33,7 @@ pub enum NotAFrame {
     /// A CAN FD frame, which the protocol does not use.
     #[error("this is a CAN FD frame, and the protocol uses classic CAN frames only")]
     Fd,
-    /// A report of the CAN interface about the bus, no frame.
+    /// An error report of the CAN interface, not a frame.
     #[error("this is an error report of the CAN interface, no frame from a motor")]
     ErrorReport,
 }
@@ -56,11 +56,11 @@ pub(super) fn digits(id: Id) -> String {
     }
 }
 
-/// When and where a frame was heard, as far as the log has it.
+/// When and where a frame was heard, as far as the log says.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
-    /// The time as candump wrote it, without the brackets: mostly seconds such as
-    /// `1436509052.249713`, since 1970 or since whatever candump was told to count from.
+    /// The time as candump wrote it, without the brackets: mostly seconds such as `1436509052.249713`, since 1970 or
+    /// since another start that candump was given.
     pub time: Option<String>,
     /// The interface, such as `can0`.
     pub interface: Option<String>,
@@ -75,8 +75,8 @@ impl fmt::Display for Stamp {
     }
 }
 
-/// A line of a log, taken apart: `ID#DATA`, or as `candump` or `candump -L` print it, with time
-/// stamps, interface and flags or without.
+/// A parsed line of a log: `ID#DATA`, or as `candump` or `candump -L` print it, with or without time stamps, interface
+/// and flags.
 ///
 /// ```
 /// use myactuator_host_std::text::can::{LogLine, frame};
@@ -92,16 +92,16 @@ impl fmt::Display for Stamp {
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogLine<'a> {
-    /// Time and interface; neither on a line that is none of a log's.
+    /// Time and interface; neither if the line is not from a log.
     pub stamp: Stamp,
-    /// What stands behind them.
+    /// The text after them.
     pub rest: &'a str,
-    /// The frame there, or what was expected and found.
+    /// The frame in that text, or what was expected and found.
     pub frame: Result<SimpleFrame, NotAFrame>,
 }
 
 impl<'a> LogLine<'a> {
-    /// Takes a line apart.
+    /// Parses a line.
     pub fn read(line: &'a str) -> Self {
         let line = line.trim();
         let (stamp, rest) = stamp(line);
@@ -117,14 +117,14 @@ impl<'a> LogLine<'a> {
 /// The frame of a [`LogLine`] alone.
 ///
 /// # Errors
-/// [`NotAFrame`] tells what was expected and found.
+/// [`NotAFrame`] says what was expected and found.
 pub fn parse_line(line: &str) -> Result<SimpleFrame, NotAFrame> {
     LogLine::read(line).frame
 }
 
-/// Time and interface, and what follows them.
+/// Splits off time and interface.
 fn stamp(line: &str) -> (Stamp, &str) {
-    // candump can also write date and time, with a space between.
+    // candump can also write date and time, separated by a space.
     let (time, line) = match line.strip_prefix('(').and_then(|line| line.split_once(')')) {
         Some((time, rest)) => (Some(time.to_owned()), rest.trim_start()),
         None => (None, line),
@@ -138,7 +138,7 @@ fn stamp(line: &str) -> (Stamp, &str) {
     (Stamp { time, interface }, rest)
 }
 
-/// The frame behind this stamp.
+/// The frame after this stamp.
 fn stamped_frame(stamp: &Stamp, text: &str) -> Result<SimpleFrame, NotAFrame> {
     let words: Vec<&str> = text.split_whitespace().collect();
     if let Some(at) = words.iter().position(|word| word.starts_with('[') && word.ends_with(']')) {
@@ -150,7 +150,7 @@ fn stamped_frame(stamp: &Stamp, text: &str) -> Result<SimpleFrame, NotAFrame> {
     }
     match (stamp, words.as_slice()) {
         (Stamp { time: None, interface: None }, [notation]) => from_notation(notation),
-        // Behind it may stand flags (candump -L -x).
+        // Flags may follow it (candump -L -x).
         (Stamp { time: Some(_), interface: Some(_) }, [notation, flags @ ..])
             if flags.iter().all(|flag| flag.len() == 1) =>
         {
@@ -160,7 +160,7 @@ fn stamped_frame(stamp: &Stamp, text: &str) -> Result<SimpleFrame, NotAFrame> {
     }
 }
 
-/// `141#A400F401A08C0000`, `141#R`, `141##1…`. Points between bytes are allowed, as for cansend.
+/// `141#A400F401A08C0000`, `141#R`, `141##1…`. Dots between bytes are allowed, as for cansend.
 fn from_notation(text: &str) -> Result<SimpleFrame, NotAFrame> {
     let (id, data) = text.split_once('#').ok_or(NotAFrame::Notation)?;
     let parsed_id = identifier(id)?;
@@ -172,7 +172,7 @@ fn from_notation(text: &str) -> Result<SimpleFrame, NotAFrame> {
         let length = if length.is_empty() { 0 } else { length.parse().map_err(|_| wrong())? };
         return SimpleFrame::new_remote(parsed_id, length).ok_or_else(wrong);
     }
-    // `_9` after eight bytes is a length code beyond 8, still eight bytes.
+    // `_9` after eight bytes is a length code beyond 8; there are still eight bytes.
     let bytes = data.split_once('_').map_or(data, |(bytes, _)| bytes).replace('.', "");
     let bytes = hex_bytes(&bytes).ok_or_else(wrong)?;
     SimpleFrame::new(parsed_id, &bytes).ok_or_else(wrong)
@@ -189,7 +189,7 @@ fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, No
     if data.first() == Some(&"remote") {
         return SimpleFrame::new_remote(id, told).ok_or(NotAFrame::Notation);
     }
-    // Behind the bytes may follow the same as characters in quotes (candump -a).
+    // The bytes may be followed by the same as characters in quotes (candump -a).
     let mut bytes = Vec::new();
     for word in data.iter().take_while(|word| !word.starts_with('\'')) {
         match hex_bytes(word).as_deref() {
@@ -203,7 +203,7 @@ fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, No
     SimpleFrame::new(id, &bytes).ok_or(NotAFrame::Notation)
 }
 
-/// What [`digits`] writes.
+/// Reads what [`digits`] writes.
 pub(super) fn identifier(text: &str) -> Result<Id, NotAFrame> {
     let wrong = || NotAFrame::Identifier(text.to_owned());
     if !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
@@ -219,7 +219,7 @@ pub(super) fn identifier(text: &str) -> Result<Id, NotAFrame> {
     .ok_or_else(wrong)
 }
 
-/// Bytes of two hexadecimal digits each without anything between.
+/// Bytes of two hexadecimal digits each, without separators.
 pub(super) fn hex_bytes(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> =
         text.chars().map(|c| Some(c.to_digit(16)? as u8)).collect::<Option<_>>()?;

@@ -1,4 +1,4 @@
-//! Frames as text, the way people and other tools write them.
+//! Frames as text, as people and other tools write them.
 //!
 //! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes;
 //! [`slcan`] is the text that CAN adapters on serial ports speak. [`packet`] writes a packet for people.

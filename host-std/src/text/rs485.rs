@@ -2,16 +2,16 @@
 
 use crate::Unexpected;
 
-/// Bytes as upper-case hexadecimal with spaces between: `3E 01 08`.
+/// Bytes as upper-case hexadecimal, separated by spaces: `3E 01 08`.
 pub fn bytes(bytes: &[u8]) -> String {
     super::joined_hex(bytes, " ")
 }
 
 /// The bytes on a line of text, separated by commas or spaces, or as one string of digits.
 ///
-/// A line is hexadecimal if a byte has `0x` or a letter A to F, if there are strings of four digits
-/// or more, or if every byte has exactly two digits; else it is decimal. A whole frame is always
-/// told right, as it begins with `3E` or `62` and holds zeros.
+/// A line is hexadecimal if a byte has `0x` or a letter A to F, if there are strings of four digits or more, or if
+/// every byte has exactly two digits. Otherwise it is decimal. A whole frame is always read correctly, since it begins
+/// with `3E` or `62` and contains zeros.
 ///
 /// ```
 /// use myactuator_host_std::text::rs485::parse_line;
@@ -23,7 +23,7 @@ pub fn bytes(bytes: &[u8]) -> String {
 /// ```
 ///
 /// # Errors
-/// [`Unexpected`] names the first piece that is no byte.
+/// [`Unexpected`] names the first piece that is not a byte.
 pub fn parse_line(line: &str) -> Result<Vec<u8>, Unexpected> {
     let tokens: Vec<&str> = line
         .split(|c: char| c == ',' || c.is_whitespace())

@@ -10,9 +10,9 @@ use super::nanos::{NEVER, Nanos};
 use super::world::World;
 use sealed::Passing;
 
-/// So many consecutive turns take no time.
+/// This many consecutive turns take no time.
 const FREE_TURNS: u32 = 100;
-/// What each further one takes, so that a task which goes round and round sees time pass.
+/// How long each further turn takes, so that a task that yields over and over sees time pass.
 const TURN: Nanos = 10_000;
 /// The longest sleep in real time: another thread may have used the world meanwhile.
 const LONGEST_SLEEP: Nanos = 1_000_000;
@@ -24,11 +24,11 @@ mod sealed {
     use super::Nanos;
 
     pub trait Passing {
-        /// How long from now something is due, for the world or for a task that waits for a time; `None` if
-        /// nothing ever is.
+        /// How long until something is due, for the world or for a task that waits for a time; `None` if nothing ever
+        /// is.
         fn until_next(&self) -> Option<Nanos>;
 
-        /// Lets so much time pass.
+        /// Lets this much time pass.
         fn pass(&self, span: Nanos);
     }
 }
@@ -144,7 +144,7 @@ mod tests {
                 yield_now().await;
             }
             assert_eq!(world.now(), Instant::ZERO);
-            // Whoever goes round and round until a time has come sees it come.
+            // A task that polls until a time has come sees it come.
             for _ in 0..30 {
                 yield_now().await;
             }

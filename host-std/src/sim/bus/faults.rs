@@ -1,4 +1,4 @@
-//! What can go wrong, by chance and on call.
+//! Faults, by chance and on call.
 //!
 //! Chance is seeded: the same world with the same seed fails in the same places. Each direction has
 //! a [`FaultPlan`], and so may each node. Functions of [`World`](super::World) cut and mend a wire, reset a station,
@@ -97,11 +97,11 @@ pub struct Babble<F> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Fate {
     pub(crate) lost: bool,
-    /// Which unit of the message, and which bit of it.
+    /// Which unit of the message, and which bit of that unit.
     pub(crate) flipped: Option<(usize, u64)>,
     pub(crate) duplicated: bool,
     pub(crate) late_by: Option<Nanos>,
-    /// How long it waits for the one that follows.
+    /// How long it waits for the message after it.
     pub(crate) held_for: Option<Nanos>,
 }
 
@@ -110,14 +110,14 @@ pub(crate) struct Fate {
 pub(crate) enum Disturbance {
     /// An error frame begins at this bit.
     Detected(u32),
-    /// This data bit is flipped, and nobody notices.
+    /// This data bit is flipped, and no station notices.
     Undetected(u64),
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Station {
     is_node: bool,
-    /// Its own plans in place of the directions'.
+    /// Its own plans, which replace the directions'.
     own: [Option<FaultPlan>; DIRECTIONS],
 }
 
@@ -158,7 +158,7 @@ impl Injector {
         self.stations[station].own[direction as usize] = plan;
     }
 
-    /// Changes a direction's plan for a station, which has its own from then on, or for all.
+    /// Changes a direction's plan for all stations, or for one, which has its own plan from then on.
     pub(crate) fn change(
         &mut self,
         station: Option<usize>,
@@ -185,14 +185,15 @@ impl Injector {
         if self.stations[sender].is_node { Direction::ToPorts } else { Direction::ToNodes }
     }
 
-    /// The plan of the node at either end, else of the direction; of an echo, of whoever hears it.
+    /// The plan of the node at either end, or else of the direction. For an echo, the plan of the station that hears
+    /// it.
     fn plan(&self, sender: usize, receiver: usize, direction: Direction) -> FaultPlan {
         let node = if self.stations[sender].is_node { sender } else { receiver };
         let way = direction as usize;
         self.stations[node].own[way].unwrap_or(self.plans[way])
     }
 
-    /// Whether a CAN frame of so many bits, intermission excluded, is disturbed on the wire.
+    /// Whether a CAN frame of this many bits, excluding the intermission, is disturbed on the wire.
     pub(crate) fn disturbance(&mut self, sender: usize, bits: u32) -> Option<Disturbance> {
         let direction = self.direction(sender);
         let plan = self.plan(sender, sender, direction);
@@ -207,8 +208,8 @@ impl Injector {
         })
     }
 
-    /// What happens to a message of so many units between these two; if they are one, to its echo. `corrupts`
-    /// says whether corruption strikes here or did on the wire.
+    /// What happens to a message of this many units between these two; if they are one station, to its echo. `corrupts`
+    /// says whether corruption strikes here; on CAN it strikes on the wire.
     pub(crate) fn fate(
         &mut self,
         sender: usize,

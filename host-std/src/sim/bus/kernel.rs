@@ -1,4 +1,4 @@
-//! The chain of events: what is due when, and who is told.
+//! The chain of events: what is due when, and which station gets it.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -21,11 +21,11 @@ struct Station<F> {
     is_blocked: bool,
     /// How late its frames get to its controller.
     slowness: Nanos,
-    /// Frames on their slow way, with the time they get there.
+    /// Frames that are delayed on their way to the controller, with their time of arrival there.
     backlog: VecDeque<(Nanos, F)>,
-    /// The first of them is there and finds no room.
+    /// The first of them has arrived and finds no room.
     is_backlog_stuck: bool,
-    /// What it babbles, and when again.
+    /// What it babbles, and when next.
     babble: Option<(Babble<F>, Nanos)>,
     received: VecDeque<F>,
     receive_queue: usize,
@@ -33,20 +33,20 @@ struct Station<F> {
     is_cut: bool,
     /// The node has no power.
     is_off: bool,
-    /// Somebody waits to send.
+    /// A caller waits to send.
     wants_room: bool,
-    /// Nothing may arrive before this: it would overtake what is late.
+    /// Nothing may arrive before this: it would overtake a late message.
     not_before: Nanos,
-    /// Arrivals come at multiples of this only.
+    /// Arrivals come only at multiples of this.
     bursts: Nanos,
-    /// What waits for the next message to overtake it.
+    /// What waits to be overtaken by the next message.
     held: VecDeque<F>,
     /// Which message that was.
     held_message: u64,
 }
 
 impl<F> Station<F> {
-    /// When it does something by itself.
+    /// When it does something on its own.
     fn due(&self) -> Nanos {
         let babble = self.babble.as_ref().filter(|_| !self.is_off).map_or(NEVER, |(_, at)| *at);
         let backlog = self.backlog.front().filter(|_| !self.is_backlog_stuck);
@@ -56,11 +56,11 @@ impl<F> Station<F> {
 
 enum Late<F> {
     Deliver(F),
-    /// This message has waited long enough for another to overtake it.
+    /// This message has waited long enough to be overtaken.
     Release(u64),
 }
 
-/// Work that is done at its time, and again so long after as it gives each time, until it gives `None`.
+/// Work that is done at its time. It returns after how long it is done again, or `None` to end.
 pub(crate) struct Planned<B: Medium> {
     pub(crate) at: Nanos,
     pub(crate) work: Box<Work<B>>,
@@ -68,20 +68,20 @@ pub(crate) struct Planned<B: Medium> {
 
 pub(crate) type Work<B> = dyn FnMut(&mut Kernel<B>, Instant) -> Option<Duration> + Send;
 
-/// By time and then by order of sending: to whom, and what.
+/// By time, then by order of sending: the receiver, and what it gets.
 type LateArrivals<F> = BTreeMap<(Nanos, u64), (usize, Late<F>)>;
 
 /// A world without its lock.
 pub(crate) struct Kernel<B: Medium> {
     pub(crate) bus: B,
-    /// The clock, and what else the bus acts on.
+    /// The clock, and what else the bus uses.
     pub(crate) around: Surroundings<B::Frame>,
     stations: Vec<Station<B::Frame>>,
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
     pub(crate) planned: Vec<Planned<B>>,
     sequence: u64,
-    /// What has come to the ports so far: received units, and room where it was missed.
+    /// What the ports got so far: received units, and room that had been missing.
     pub(crate) arrivals: u64,
     /// The message whose fates are drawn.
     message: u64,
@@ -142,7 +142,7 @@ impl<B: Medium> Kernel<B> {
         self.stations.len() - 1
     }
 
-    /// When something happens next, `NEVER` for not at all.
+    /// When something happens next; `NEVER` if nothing does.
     pub(crate) fn next_event(&self) -> Nanos {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
@@ -220,11 +220,11 @@ impl<B: Medium> Kernel<B> {
         }
     }
 
-    /// Brings what is complete on the wire to everyone who hears it.
+    /// Delivers what is complete on the wire to every station that hears it.
     fn arrive(&mut self, arrival: &Arrival<B::Frame>) {
         let Arrival { sender, hearers, unit, part } = arrival;
         let injector = &mut self.around.injector;
-        // Nothing can befall what a collision left.
+        // No fault can strike what a collision left.
         let part = part.as_ref().filter(|_| !injector.is_quiet());
         if let Some(part) = part.filter(|part| part.message != self.message) {
             self.message = part.message;
@@ -285,12 +285,12 @@ impl<B: Medium> Kernel<B> {
         }
     }
 
-    /// Delivers now or later, never ahead of what is late itself.
+    /// Delivers now or later, but never before a message that is late itself.
     fn deliver_in_order(&mut self, to: usize, unit: &B::Frame, late_by: Nanos) {
         let Station { not_before, bursts, .. } = self.stations[to];
         let at = self.around.now.saturating_add(late_by).max(not_before);
         let at = at.div_ceil(bursts).saturating_mul(bursts);
-        // What is due now may still wait for its turn.
+        // Earlier arrivals that are due now may still wait for their turn.
         if at <= self.around.now && not_before != self.around.now {
             self.deliver(to, unit);
         } else {
@@ -329,7 +329,7 @@ impl<B: Medium> Kernel<B> {
         self.arrivals += 1;
     }
 
-    /// What a station does by itself at its time.
+    /// Does what a station does on its own at its time.
     fn serve(&mut self, station: usize) {
         let now = self.around.now;
         let state = &mut self.stations[station];
@@ -346,7 +346,7 @@ impl<B: Medium> Kernel<B> {
             let random = &mut self.around.injector.babble;
             let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
             *at = now.saturating_add(from_duration(babble.interval).max(MICROSECOND));
-            // A full queue loses it: there is more where it came from.
+            // A full queue drops it: more will follow.
             self.bus.submit(station, frame, now);
         }
         if state.wake <= now {
@@ -354,12 +354,12 @@ impl<B: Medium> Kernel<B> {
         }
     }
 
-    /// Has a node asked in this step, though it did not ask for that.
+    /// Has a node asked in this step although it did not request that.
     pub(crate) fn wake(&mut self, station: usize) {
         self.stations[station].wake = self.around.now;
     }
 
-    /// Asks a node what it has to send, though it did not ask for that.
+    /// Asks a node what it has to send although it did not request that.
     pub(crate) fn serve_now(&mut self, station: usize) {
         self.serve_node(station);
         self.bus.start(&mut self.around);
@@ -390,7 +390,7 @@ impl<B: Medium> Kernel<B> {
                 state.is_blocked = false;
                 break;
             };
-            // Behind what is under way, so that a drive that is fast again stays in order.
+            // After the frames that are still delayed, so that a drive that is fast again keeps the order.
             let under_way = state.backlog.back().map_or(0, |(at, _)| *at);
             let ready = at.saturating_add(state.slowness).max(under_way);
             if ready > at {
@@ -439,7 +439,7 @@ impl<B: Medium> Kernel<B> {
         self.stations[station].is_cut
     }
 
-    /// Whose wire is cut, or who has no power, is parted from the bus.
+    /// A station whose wire is cut, or that has no power, is off the bus.
     fn connect(&mut self, station: usize, is_cut: bool, is_off: bool) {
         let state = &mut self.stations[station];
         let was_apart = state.is_cut || state.is_off;
@@ -473,7 +473,7 @@ impl<B: Medium> Kernel<B> {
         self.spread();
     }
 
-    /// What waits to be sent goes with the power, and what has come and was not read.
+    /// Without power, what is queued to be sent is lost, and so is what was received and not read.
     fn empty(&mut self, station: usize) {
         self.bus.reset(station, &mut self.around);
         let state = &mut self.stations[station];

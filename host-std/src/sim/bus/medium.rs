@@ -1,4 +1,4 @@
-//! What the two buses have in common.
+//! What both buses share.
 
 use super::StationId;
 use super::faults::Injector;
@@ -13,12 +13,12 @@ pub trait Medium: sealed::Bus {}
 /// Something complete on the wire: a CAN frame, or a byte of a message on the line.
 #[derive(Debug)]
 pub(crate) struct Arrival<F> {
-    /// Who sent it; faults are drawn for this one.
+    /// The sender, for which faults are drawn.
     pub(crate) sender: usize,
-    /// Who hears it, in the order of attaching.
+    /// The receivers, in the order of attaching.
     pub(crate) hearers: Vec<usize>,
     pub(crate) unit: F,
-    /// Which message it is part of; `None` where collisions left nothing to tell.
+    /// Which message it is part of; `None` if a collision left no message.
     pub(crate) part: Option<Part<F>>,
 }
 
@@ -28,25 +28,25 @@ pub(crate) struct Part<F> {
     pub(crate) message: u64,
     pub(crate) index: usize,
     pub(crate) of: usize,
-    /// The whole message, with its last part.
+    /// The whole message; comes with its last part.
     pub(crate) whole: Option<F>,
 }
 
-/// What a bus acts on besides itself.
+/// What a bus uses besides itself.
 #[expect(missing_debug_implementations, reason = "nobody outside can reach it")]
 pub struct Surroundings<F> {
     pub(crate) now: Nanos,
     pub(crate) injector: Injector,
-    /// Whoever watches.
+    /// The observers.
     pub(crate) observers: Vec<Observer<F>>,
     /// What has become complete, for the receivers.
     pub(crate) arrivals: Vec<Arrival<F>>,
-    /// Whose queue has got room.
+    /// Stations whose queue has room again.
     pub(crate) freed: Vec<usize>,
 }
 
 impl<F> Surroundings<F> {
-    /// Tells whoever watches what happens now. The event is made only if somebody does.
+    /// Reports to observers what happens now. The event is made only if there are any.
     pub(crate) fn record(&mut self, station: usize, event: impl FnOnce() -> Event<F>) {
         if self.observers.is_empty() {
             return;
@@ -58,7 +58,7 @@ impl<F> Surroundings<F> {
     }
 }
 
-/// Flips one of the bits of these bytes, if there is one. Places beyond the last begin anew.
+/// Flips one bit of these bytes, if there are any. An index beyond the last wraps around.
 pub(crate) fn flip_bit_of(bytes: &mut [u8], bit: u64) {
     if let Some(place) = (bit as usize).checked_rem(bytes.len() * 8) {
         bytes[place / 8] ^= 1 << (place % 8);
@@ -81,11 +81,11 @@ pub(crate) mod sealed {
         const DELIVERS_CORRUPTED: bool;
 
         fn attach(&mut self, how: Self::Attachment);
-        /// When something happens next by itself, `NEVER` for not at all.
+        /// When something happens next on its own; `NEVER` if nothing does.
         fn next_event(&self) -> Nanos;
         /// Does what ends now.
         fn finish(&mut self, around: &mut Surroundings<Self::Frame>);
-        /// Does what begins now, after everyone has had their say.
+        /// Does what begins now, after every station had its turn.
         fn start(&mut self, around: &mut Surroundings<Self::Frame>);
         /// How many more frames a station can queue.
         fn room(&self, station: usize) -> usize;

@@ -1,7 +1,7 @@
 //! Simulated buses: CAN and RS485 as they behave on the wire, with ports of masters and drives on them.
 //!
-//! This is the lowest part of [`sim`](super): it carries frames for every [`Node`], and knows neither
-//! drives nor physics.
+//! This is the lowest part of [`sim`](super): it carries frames for every [`Node`], and knows nothing of drives and
+//! physics.
 //!
 //! A [`World`] owns a clock, one bus and everything that is on it. It is a chain of discrete events:
 //! between two of them nothing happens, so a second of bus traffic is simulated in milliseconds, and

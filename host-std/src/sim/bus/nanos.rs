@@ -9,7 +9,7 @@ pub(crate) type Nanos = u64;
 /// No such time will come.
 pub(crate) const NEVER: Nanos = u64::MAX;
 
-/// As the participants see it: the first whole microsecond that is not before `at`.
+/// The time as participants see it: the first whole microsecond that is not before `at`.
 pub(crate) const fn to_instant(at: Nanos) -> Instant {
     Instant::from_micros(at.div_ceil(1_000))
 }
@@ -22,7 +22,7 @@ pub(crate) const fn from_duration(span: Duration) -> Nanos {
     span.as_micros().saturating_mul(1_000)
 }
 
-/// How long so many bits last, rounded up. A rate of 0 counts as 1.
+/// How long this many bits last, rounded up. A rate of 0 counts as 1.
 pub(crate) const fn bits(count: u64, bit_rate: u32) -> Nanos {
     let rate = if bit_rate == 0 { 1 } else { bit_rate as u64 };
     match count.checked_mul(1_000_000_000) {

@@ -59,7 +59,7 @@ pub trait Node<F>: Send {
     }
 }
 
-/// Locks it, also after a panic of whoever had it.
+/// Locks it, even if a holder of the lock has panicked.
 pub(in crate::sim) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -30,7 +30,7 @@ impl<B: Medium> Port<B> {
         &self.world
     }
 
-    /// Tries now, and again as soon as that is so of its station, until there is a result.
+    /// Tries now, and again whenever its station has what it waits for, until there is a result.
     pub(super) async fn until_done<T>(
         &self,
         is_so: fn(&Kernel<B>, usize) -> bool,

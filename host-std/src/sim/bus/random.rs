@@ -1,4 +1,4 @@
-//! The one source of chance.
+//! The only source of randomness.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng};
@@ -7,7 +7,7 @@ use rand_chacha::rand_core::{Rng as _, SeedableRng};
 #[derive(Clone, Debug)]
 pub struct Random(ChaCha8Rng);
 
-/// Streams of their own, so that more chance in one place leaves the others as they were.
+/// Separate streams, so that more randomness in one place leaves the others unchanged.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Stream {
     ToNodes,
@@ -24,12 +24,12 @@ impl Random {
         Self(rng)
     }
 
-    /// True with this probability. Draws nothing for a certain outcome; NaN is never.
+    /// True with this probability. Draws nothing if the outcome is certain; NaN is never.
     pub(crate) fn chance(&mut self, probability: f32) -> bool {
         if probability >= 1.0 {
             return true;
         }
-        // 24 bits are as many as an f32 tells apart.
+        // An f32 distinguishes 24 bits.
         probability > 0.0 && ((self.0.next_u32() >> 8) as f32) < probability * 16_777_216.0
     }
 

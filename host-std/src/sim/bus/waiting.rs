@@ -11,9 +11,9 @@ use super::world::{State, World};
 
 /// What a task waits for.
 pub(crate) enum Awaited<B: Medium> {
-    /// The clock to show this.
+    /// The clock to reach this time.
     Time(Nanos),
-    /// That to be so of this station.
+    /// This condition of this station.
     Station(usize, fn(&Kernel<B>, usize) -> bool),
 }
 
@@ -34,7 +34,7 @@ impl<B: Medium> Awaited<B> {
     }
 }
 
-/// The tasks that wait, in the order in which they began to.
+/// The waiting tasks, in the order in which they began to wait.
 pub(super) struct Waiting<B: Medium> {
     tasks: BTreeMap<u64, (Awaited<B>, Waker)>,
     next: u64,
@@ -47,7 +47,7 @@ impl<B: Medium> Default for Waiting<B> {
 }
 
 impl<B: Medium> Waiting<B> {
-    /// The next time that a task waits for, `NEVER` for none.
+    /// The next time that a task waits for; `NEVER` if there is none.
     pub(super) fn next_time(&self) -> Nanos {
         let times = self.tasks.values().map(|(awaited, _)| match awaited {
             Awaited::Time(at) => *at,
@@ -56,7 +56,7 @@ impl<B: Medium> Waiting<B> {
         times.min().unwrap_or(NEVER)
     }
 
-    /// Takes out those that have what they wait for.
+    /// Removes the tasks that have what they wait for.
     pub(super) fn take_ready(&mut self, kernel: &Kernel<B>) -> Vec<Waker> {
         let mut ready = Vec::new();
         self.tasks.retain(|_, (awaited, waker)| {
@@ -70,16 +70,16 @@ impl<B: Medium> Waiting<B> {
     }
 }
 
-/// A future that is done once something has come. It may be dropped and made anew at any time.
+/// A future that completes once something has come. It may be dropped and made anew at any time.
 pub(crate) struct Come<'a, B: Medium> {
     world: &'a World<B>,
     awaited: Awaited<B>,
-    /// Its number among those that wait.
+    /// Its number among the waiting tasks.
     number: Option<u64>,
 }
 
 impl<B: Medium> World<B> {
-    /// Waits for that.
+    /// Waits for this.
     pub(crate) const fn come(&self, awaited: Awaited<B>) -> Come<'_, B> {
         Come { world: self, awaited, number: None }
     }

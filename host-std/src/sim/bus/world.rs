@@ -21,7 +21,7 @@ pub(super) struct State<B: Medium> {
     pub(super) kernel: Kernel<B>,
     /// Tasks.
     pub(super) waiting: Waiting<B>,
-    /// Time 0 on the wall clock; `None` in virtual time, which goes on by whoever waits.
+    /// Time 0 on the wall clock; `None` in virtual time, which its callers advance.
     pub(super) wall_zero: Option<std::time::Instant>,
 }
 
@@ -48,12 +48,12 @@ impl<B: Medium> State<B> {
     }
 }
 
-/// Who is slower than the wall clock would have the longer to make up for, the longer that takes.
+/// The most that is caught up with. A world slower than the wall clock would otherwise have more and more to catch up.
 const LONGEST_CATCH_UP: std::time::Duration = std::time::Duration::from_millis(500);
 
 struct Shared<B: Medium> {
     state: Mutex<State<B>>,
-    /// Something has changed that a sleeper in real time may wait for.
+    /// Something has changed for which a thread may be sleeping in real time.
     changed: Condvar,
 }
 
@@ -100,7 +100,7 @@ impl<B: Medium> World<B> {
         self.with_state(|state| work(&mut state.kernel))
     }
 
-    /// As [`with`](Self::with), and on who waits.
+    /// As [`with`](Self::with), with the waiting tasks, too.
     pub(super) fn with_state<T>(&self, work: impl FnOnce(&mut State<B>) -> T) -> T {
         let mut state = self.lock();
         state.catch_up();
@@ -109,13 +109,13 @@ impl<B: Medium> World<B> {
         result
     }
 
-    /// Unlocks it and wakes whoever waits for what has come.
+    /// Unlocks the world, and wakes the tasks and threads that wait for what has come.
     fn leave(&self, mut guard: MutexGuard<'_, State<B>>) {
         let state = &mut *guard;
         let woken = state.waiting.take_ready(&state.kernel);
         let may_anybody_sleep = state.wall_zero.is_some();
         drop(guard);
-        // A system call, also where nobody does.
+        // This is a system call even if none waits.
         if may_anybody_sleep {
             self.0.changed.notify_all();
         }

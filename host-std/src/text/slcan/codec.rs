@@ -1,4 +1,4 @@
-//! What is said to an adapter and by it, byte by byte.
+//! Commands to an adapter and its answers, byte by byte.
 
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
@@ -25,9 +25,9 @@ pub enum AdapterCommand {
     ReadSerialNumber,
     /// `F`: the status flags.
     ReadStatus,
-    /// `Z`: time stamps behind received frames, or none.
+    /// `Z`: whether time stamps follow received frames.
     TimeStamps(bool),
-    /// An empty line, which means nothing: it ends what an interrupted program began.
+    /// An empty line, which has no meaning. It ends a line that an interrupted program began.
     Nothing,
     /// Any other line.
     Unknown,
@@ -48,8 +48,7 @@ const FIXED: [(&[u8], AdapterCommand); 10] = [
 ];
 
 impl AdapterCommand {
-    /// Appends the line, its end included. [`Unknown`](Self::Unknown) is a line that no adapter
-    /// knows.
+    /// Appends the line, including its end. [`Unknown`](Self::Unknown) becomes a line that no adapter knows.
     pub fn encode(&self, line: &mut Vec<u8>) {
         match self {
             Self::Transmit(frame) => return write_frame(frame, line),
@@ -74,7 +73,7 @@ impl AdapterCommand {
     }
 }
 
-/// What an adapter says.
+/// An answer of an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// A frame was received from the bus.
@@ -95,12 +94,12 @@ pub enum Answer {
     SerialNumber([u8; 4]),
     /// `F`: the status flags, 0x04 warning, 0x20 error-passive, 0x80 bus error.
     Status(u8),
-    /// A line that means nothing, such as one that lost bytes on the way.
+    /// A line without a meaning, such as one that has lost bytes.
     Junk,
 }
 
 impl Answer {
-    /// Appends what is said, its end included. [`Junk`](Self::Junk) is a line that means nothing.
+    /// Appends the answer, including its end. [`Junk`](Self::Junk) becomes a line without a meaning.
     pub fn encode(&self, line: &mut Vec<u8>) {
         match self {
             Self::Frame(frame) => return write_frame(frame, line),
@@ -135,7 +134,7 @@ impl Answer {
                     _ => Self::Junk,
                 }
             }
-            // Some adapters put the acknowledgement of a sending right before the next frame.
+            // Some adapters put the acknowledgement of a sent frame right before the next frame.
             [b'z' | b'Z', ref frame @ ..] => parse_frame(frame).map_or(Self::Junk, Self::Frame),
             ref frame => parse_frame(frame).map_or(Self::Junk, Self::Frame),
         }
@@ -158,7 +157,7 @@ pub struct Codec {
 }
 
 impl Codec {
-    /// Takes the next byte. BEL counts wherever it stands, and ends a line that had begun.
+    /// Takes the next byte. BEL counts anywhere, and ends a line that had begun.
     pub fn feed(&mut self, byte: u8) -> Option<Answer> {
         if byte == BELL {
             self.line.clear();
@@ -200,7 +199,7 @@ mod tests {
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
-    /// Lines as the description of Lawicel's adapters gives them, and what they say.
+    /// Lines from the description of Lawicel's adapters, and their meaning.
     #[test]
     fn every_command_goes_both_ways() {
         for (line, command) in [

@@ -8,16 +8,15 @@ use crate::text::joined_hex;
 
 pub(super) const END: u8 = b'\r';
 pub(super) const BELL: u8 = 0x07;
-/// The longest line there is: an acknowledgement, `T`, identifier, length, eight bytes and a time
-/// stamp.
+/// The longest line: an acknowledgement, `T`, identifier, length, eight bytes and a time stamp.
 const LONGEST: usize = 1 + 1 + 8 + 1 + 16 + 4;
 
-/// Gathers the bytes of a line.
+/// Collects the bytes of a line.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Line(Vec<u8>);
 
 impl Line {
-    /// Gives the line that this byte completes. Of one that is too long to mean anything, as much as
+    /// Returns the line that this byte completes. If the line is too long to mean anything, returns only as much as
     /// shows that.
     pub(super) fn feed(&mut self, byte: u8) -> Option<Vec<u8>> {
         match byte {
@@ -30,13 +29,13 @@ impl Line {
         None
     }
 
-    /// Forgets what was gathered.
+    /// Drops what was collected.
     pub(super) fn clear(&mut self) {
         self.0.clear();
     }
 }
 
-/// The frame on a line, with a time stamp behind it or without.
+/// The frame of a line, with or without a time stamp after it.
 pub(super) fn parse_frame(line: &[u8]) -> Option<SimpleFrame> {
     let (kind, rest) = str::from_utf8(line).ok()?.split_at_checked(1)?;
     let (digits, is_remote) = match kind {
@@ -60,7 +59,7 @@ pub(super) fn parse_frame(line: &[u8]) -> Option<SimpleFrame> {
     SimpleFrame::new(id, &hex_bytes(data)?)
 }
 
-/// The line that carries a frame, its end included.
+/// The line of a frame, including its end.
 pub(super) fn write_frame(frame: &SimpleFrame, line: &mut Vec<u8>) {
     let kind = match (frame.is_extended(), frame.is_remote_frame()) {
         (false, false) => 't',

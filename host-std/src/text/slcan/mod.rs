@@ -1,8 +1,8 @@
-//! SLCAN: CAN frames as lines of text over a serial port, the ASCII protocol of Lawicel's adapters
-//! that most USB-CAN adapters speak, on every operating system and without a driver.
+//! SLCAN: CAN frames as lines of text over a serial port. This is the ASCII protocol of Lawicel's adapters, which most
+//! USB-CAN adapters speak, on every operating system and without a driver.
 //!
-//! [`AdapterCommand`] goes to an adapter, [`Answer`] comes from it; both are encoded and decoded here, so
-//! that [`Codec`], the computer's end, and [`AdapterCodec`], the adapter's, agree.
+//! [`AdapterCommand`] goes to an adapter, [`Answer`] comes from it. Both are encoded and decoded here, so that
+//! [`Codec`], the computer's end, and [`AdapterCodec`], the adapter's, agree.
 //!
 //! | line | meaning |
 //! |---|---|
@@ -12,8 +12,8 @@
 //! | `r1418` | standard remote frame; `R` with 8 digits of identifier |
 //! | `V`, `N`, `F`, `Z1` | version, serial number, status, time stamps |
 //!
-//! Lines end with a carriage return. An adapter answers an empty line (or `z`, `Z` behind a frame) to
-//! what it has done, and the character BEL to what it has not.
+//! Lines end with a carriage return. An adapter answers with an empty line (or `z`, `Z` after a frame) if it has done
+//! what it was told, and with the character BEL if not.
 
 mod codec;
 mod line;

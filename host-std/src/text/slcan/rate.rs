@@ -56,7 +56,7 @@ impl Rate {
     }
 }
 
-/// From its number of bit/s in decimal digits.
+/// Reads a bit rate in bit/s, in decimal digits.
 impl FromStr for Rate {
     type Err = Unexpected;
 

@@ -1,4 +1,4 @@
-//! The wire and who is on it.
+//! The wire and the stations on it.
 
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
@@ -11,17 +11,17 @@ use crate::sim::bus::nanos::{NEVER, Nanos, bits};
 use crate::sim::bus::random::Random;
 use crate::sim::bus::trace::Event;
 
-/// Flag of six bits, the others' echo of six more, delimiter of eight.
+/// A flag of six bits, its echo from the other stations of six more, and a delimiter of eight.
 const ERROR_FRAME: u32 = 6 + 6 + 8;
-/// The flag of a sender that nobody hears has no echo.
+/// The flag of a sender without listeners has no echo.
 const LONE_ERROR_FRAME: u32 = 6 + 8;
-/// A stranger signals an error after so many of its own bits, of which five at most may be equal.
+/// A station at another bit rate signals an error after this many of its own bits. At most five may be equal.
 const STRANGE: u64 = 6;
 
 /// How a frame on the wire will end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ending {
-    /// Whole, and maybe with a data bit flipped that nobody notices.
+    /// Whole, possibly with a flipped data bit that no station notices.
     Sent {
         flipped: Option<u64>,
     },
@@ -32,24 +32,24 @@ pub(super) enum Ending {
 
 #[derive(Debug)]
 struct Transmission {
-    /// All that send this very frame.
+    /// All stations that send this same frame.
     senders: Vec<usize>,
     frame: SimpleFrame,
     started: Nanos,
     ending: Ending,
-    /// That of the senders.
+    /// The wire of the senders.
     bit_rate: u32,
-    /// In what bits its end is counted: those of the slowest that signals an error.
+    /// The bits in which its end is counted: those of the slowest station that signals an error.
     end_rate: u32,
 }
 
 impl Transmission {
-    /// What a station on its wire is to it; `None` for one that takes no part.
+    /// The part of a station on its wire; `None` for one that takes no part.
     fn role(&self, station: usize, controller: &Controller) -> Option<Role> {
         if self.senders.contains(&station) {
             Some(Role::Sender)
         } else if controller.joined > self.started || controller.is_bus_off() {
-            // It waits for the end of what it has not heard begin.
+            // It waits for the end of a frame whose beginning it has not heard.
             None
         } else if controller.bit_rate != self.bit_rate {
             Some(Role::Stranger)
@@ -58,7 +58,7 @@ impl Transmission {
         }
     }
 
-    /// Whether somebody acknowledges it.
+    /// Whether a station acknowledges it.
     fn is_heard(&self, wire: usize, controllers: &[Controller]) -> bool {
         controllers.iter().enumerate().any(|(station, controller)| {
             controller.wire == wire && self.role(station, controller) == Some(Role::Receiver)
@@ -84,7 +84,7 @@ enum Phase {
 /// A CAN bus and the controllers on it.
 #[derive(Debug)]
 pub struct CanBus {
-    /// That of whoever has no other.
+    /// The rate of stations that have no other.
     bit_rate: u32,
     pub(super) controllers: Vec<Controller>,
     /// The common wire, then each station's stub.
@@ -102,7 +102,7 @@ impl CanBus {
         }
     }
 
-    /// Whether somebody is on that wire.
+    /// Whether a station is on that wire.
     fn is_used(&self, wire: usize) -> bool {
         wire == COMMON_WIRE || self.controllers[wire - 1].wire == wire
     }
@@ -208,7 +208,7 @@ impl CanBus {
         self.wires[wire] = Phase::Gap { until: free_at };
         let mut hearers = Vec::with_capacity(self.controllers.len());
         for (station, controller) in self.on_mut(wire) {
-            // The delimiter, end of frame and intermission were one sequence of recessive bits.
+            // Delimiter, end of frame and intermission were one sequence of recessive bits.
             controller.begin_silence(free_at, 1);
             let Some(role) = transmission.role(station, controller) else { continue };
             controller.count(ending, role);
@@ -242,8 +242,8 @@ impl CanBus {
         }
     }
 
-    /// Ends a station's part in what is on its wire, because it is leaving that or is being reset: it follows what
-    /// begins from now on.
+    /// Ends a station's part in what is on its wire, because it leaves that wire or is reset. It follows what begins
+    /// from now on.
     fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
         self.controllers[station].joined = around.now;
@@ -255,7 +255,7 @@ impl CanBus {
         }
         transmission.senders.retain(|&sender| sender != station);
         self.controllers[station].end(Ending::Broken);
-        // The wire sees no change, unless nobody is left to acknowledge.
+        // The wire sees no change, unless no station is left to acknowledge.
         let slot_bits = frame_bits(&transmission.frame) - INTERMISSION - AFTER_ACKNOWLEDGE;
         let slot = transmission.started + bits(slot_bits.into(), transmission.bit_rate);
         if matches!(transmission.ending, Ending::Sent { .. })
@@ -343,7 +343,7 @@ impl Bus for CanBus {
         let id = StandardId::new(random.below(0x800) as u16).unwrap_or(StandardId::MAX);
         let length = random.below(9) as usize;
         let data: [u8; 8] = std::array::from_fn(|_| random.byte());
-        // Eight bytes at most always fit.
+        // Eight bytes always fit.
         SimpleFrame::new(id, &data[..length]).unwrap_or_else(|| Self::garbage(random))
     }
 

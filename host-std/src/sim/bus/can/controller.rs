@@ -8,17 +8,17 @@ use super::bus::Ending;
 use super::timing::arbitration_key;
 use crate::sim::bus::nanos::{Nanos, bits};
 
-/// From this count on, of either counter, a controller is error-passive.
+/// From this count of either counter on, a controller is error-passive.
 const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
 /// How much longer an error-passive sender waits.
 const SUSPEND: u64 = 8;
-/// Eleven recessive bits are one sequence towards the end of bus-off.
+/// Eleven recessive bits make one sequence towards the end of bus-off.
 const SEQUENCE: u64 = 11;
-/// How many of them end it.
+/// How many sequences end it.
 const RECOVERY_SEQUENCES: u64 = 128;
-/// The wire of all whose own was not cut.
+/// The wire of all stations whose own is not cut.
 pub(super) const COMMON_WIRE: usize = 0;
 
 /// Which frame of a transmit queue goes first.
@@ -90,19 +90,19 @@ struct Pending {
     on_wire: bool,
 }
 
-/// What a station is to a frame.
+/// A station's part in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     Sender,
     Receiver,
-    /// It speaks at another bit rate, so that it finds an error in every frame.
+    /// It has another bit rate, so it finds an error in every frame.
     Stranger,
 }
 
 /// A controller that waits for the end of bus-off.
 #[derive(Clone, Copy, Debug)]
 struct Recovery {
-    /// Sequences of eleven recessive bits that are still wanted.
+    /// Sequences of eleven recessive bits that are still missing.
     wanted: u64,
     /// From when on the bus has been idle.
     since: Nanos,
@@ -116,7 +116,7 @@ pub(super) struct Controller {
     queue: VecDeque<Pending>,
     transmit_errors: u16,
     receive_errors: u16,
-    /// An error-passive sender waits until then.
+    /// Until when an error-passive sender waits.
     suspended_until: Nanos,
     recovery: Option<Recovery>,
     /// [`COMMON_WIRE`], or its own stub.
@@ -140,7 +140,7 @@ impl Controller {
         }
     }
 
-    /// How long so many of its bits last.
+    /// How long this many of its bits last.
     pub(super) fn bits(&self, count: u64) -> Nanos {
         bits(count, self.bit_rate)
     }
@@ -165,7 +165,7 @@ impl Controller {
         self.transmit_errors > BUS_OFF_ABOVE
     }
 
-    /// How it stands, with what its port knows of received frames.
+    /// Its status, with what its port knows of received frames.
     pub(super) fn status(&self, (received, overflows): (usize, u64)) -> ControllerStatus {
         ControllerStatus {
             transmit_errors: self.transmit_errors,
@@ -203,8 +203,8 @@ impl Controller {
         true
     }
 
-    /// Takes back a frame that waits with a lower priority than this one: the youngest of the lowest. Never the
-    /// one on the wire.
+    /// Takes back a queued frame of lower priority than this one: the youngest of the lowest. Never the one on the
+    /// wire.
     pub(super) fn displace(&mut self, by: &SimpleFrame) -> Option<SimpleFrame> {
         if self.config.order != QueueOrder::Priority {
             return None;
@@ -227,7 +227,7 @@ impl Controller {
         }
     }
 
-    /// The frame on the wire is done; a failed one stays for the next try.
+    /// The frame on the wire is done. If it failed, it stays for the next attempt.
     pub(super) fn end(&mut self, ending: Ending) {
         if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
             match ending {
@@ -237,7 +237,7 @@ impl Controller {
         }
     }
 
-    /// After a frame of its own: what its errors forbid it from then on, when the bus is free again.
+    /// After a frame of its own: applies what its errors forbid from when the bus is free again.
     pub(super) fn stand_back(&mut self, free_at: Nanos) {
         match self.state() {
             ErrorState::Active => {}
@@ -248,7 +248,7 @@ impl Controller {
         }
     }
 
-    /// Silence begins at `at`, behind so many sequences of recessive bits.
+    /// Silence begins at `at`, after this many sequences of recessive bits.
     pub(super) fn begin_silence(&mut self, at: Nanos, sequences: u64) {
         if let Some(recovery) = &mut self.recovery {
             recovery.wanted = recovery.wanted.saturating_sub(sequences);
@@ -256,7 +256,7 @@ impl Controller {
         }
     }
 
-    /// The wire is taken from `at` on: counts what silence there was towards the end of bus-off.
+    /// The wire is busy from `at` on. Counts the silence before towards the end of bus-off.
     pub(super) fn end_silence(&mut self, at: Nanos) {
         let sequence = self.bits(SEQUENCE);
         if let Some(recovery) = &mut self.recovery {
@@ -270,14 +270,14 @@ impl Controller {
         self.recover();
     }
 
-    /// Counts what became of a frame.
+    /// Counts the outcome of a frame.
     pub(super) fn count(&mut self, ending: Ending, role: Role) {
         let is_active = self.state() == ErrorState::Active;
         match (role, ending) {
             (Role::Sender, Ending::Sent { .. }) => {
                 self.transmit_errors = self.transmit_errors.saturating_sub(1);
             }
-            // Silence alone leads to error-passive and never to bus-off.
+            // Missing acknowledgements alone lead to error-passive and never to bus-off.
             (Role::Sender, Ending::Unacknowledged) if !is_active => {}
             (Role::Sender, Ending::Unacknowledged | Ending::Broken) => {
                 self.transmit_errors = self.transmit_errors.saturating_add(8);
@@ -287,12 +287,12 @@ impl Controller {
             }
             (Role::Receiver, Ending::Unacknowledged) => {}
             (Role::Receiver, Ending::Broken) => self.count_received(1),
-            // It hears the others' flags behind its own.
+            // It hears the others' flags after its own.
             (Role::Stranger, _) => self.count_received(if is_active { 1 + 8 } else { 1 }),
         }
     }
 
-    /// More than 128 tells nothing: the state is the same from there on.
+    /// More than 128 means nothing: the state stays the same from there on.
     fn count_received(&mut self, errors: u16) {
         self.receive_errors = (self.receive_errors + errors).min(PASSIVE);
     }

@@ -9,7 +9,7 @@
 use crc::{CRC_15_CAN, Crc};
 use embedded_can::{Frame, Id};
 
-/// Bits of the acknowledge slot's frame end: delimiter 1 and end of frame 7.
+/// Bits after the acknowledge slot: delimiter 1 and end of frame 7.
 pub(crate) const AFTER_ACKNOWLEDGE: u32 = 1 + 7;
 /// Bits between two frames.
 pub(crate) const INTERMISSION: u32 = 3;
@@ -46,12 +46,12 @@ pub fn frame_bits<F: Frame>(frame: &F) -> u32 {
     length
 }
 
-/// What arbitration compares, as the bits on the wire: the smaller wins. Frames with the same key
-/// are told apart only behind the arbitration field.
+/// What arbitration compares, as the bits on the wire: the smaller wins. Frames with the same key differ only after the
+/// arbitration field.
 pub(crate) fn arbitration_key<F: Frame>(frame: &F) -> u64 {
     let remote = u64::from(frame.is_remote_frame());
     match frame.id() {
-        // Identifier, RTR, IDE; nothing behind it can meet an extended frame's bits.
+        // Identifier, RTR, IDE. Nothing after these meets an extended frame's bits.
         Id::Standard(id) => u64::from(id.as_raw()) << 21 | remote << 20,
         Id::Extended(id) => {
             let raw = u64::from(id.as_raw());
@@ -61,14 +61,13 @@ pub(crate) fn arbitration_key<F: Frame>(frame: &F) -> u64 {
     }
 }
 
-/// The bits from the start of frame through the CRC without stuff bits, and how many they are. The
-/// first is the highest.
+/// The bits from the start of frame through the CRC without stuff bits, and their number. The first bit is the highest.
 fn bits<F: Frame>(frame: &F) -> (u128, u32) {
     let arbitration = u128::from(arbitration_key(frame));
     let length = frame.dlc().min(8) as u128;
-    // The start of frame is a 0 ahead of it all.
+    // The start of frame is a 0 before everything.
     let (mut bits, mut count) = match frame.id() {
-        // What is left of the extended identifier's place: IDE, r0 and the DLC.
+        // The rest of the extended identifier's place: IDE, r0 and the DLC.
         Id::Standard(_) => (arbitration >> 14 | length, 1 + 11 + 7),
         Id::Extended(_) => (arbitration << 6 | length, 1 + 32 + 6),
     };
@@ -79,7 +78,7 @@ fn bits<F: Frame>(frame: &F) -> (u128, u32) {
             count += 8;
         }
     }
-    // The CRC begins with 0, so zeros ahead of the frame change nothing.
+    // The CRC starts at 0, so zeros before the frame change nothing.
     let crc = CRC.checksum(&bits.to_be_bytes());
     (bits << 15 | u128::from(crc), count + 15)
 }

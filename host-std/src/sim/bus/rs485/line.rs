@@ -1,4 +1,4 @@
-//! The line and who is on it.
+//! The line and the stations on it.
 
 use std::collections::VecDeque;
 
@@ -17,7 +17,7 @@ struct Message {
     bytes: Vec<u8>,
     /// How many of them are over.
     ended: usize,
-    /// When its first byte began; until then, when it was queued.
+    /// When its first byte began. Before that, when it was queued.
     started: Nanos,
     is_garbled: bool,
 }
@@ -34,7 +34,7 @@ enum Driver {
         since: Nanos,
         until: Nanos,
     },
-    /// Still holds the line.
+    /// Still drives the line.
     SwitchingOff {
         until: Nanos,
     },
@@ -46,8 +46,8 @@ struct Station {
     bit_rate: u32,
     queue: VecDeque<Message>,
     driver: Driver,
-    /// When the run of bytes without a gap began, and how many bytes it has: a byte's end is counted
-    /// from there, so that roundings do not add up.
+    /// When the sequence of bytes without a gap began, and how many bytes it has. The end of a byte is counted from
+    /// there, so that rounding errors do not add up.
     run_started: Nanos,
     run_bytes: u64,
     is_cut: bool,
@@ -60,18 +60,18 @@ impl Station {
     }
 }
 
-/// The byte that all receivers are in the middle of.
+/// The byte that all receivers are receiving.
 #[derive(Debug)]
 struct Heard {
     sender: usize,
     until: Nanos,
-    /// What it is; `None` if another driver was on meanwhile.
+    /// Its value; `None` if another driver was on meanwhile.
     byte: Option<(u8, Part<Vec<u8>>)>,
 }
 
-/// What a receiver at another bit rate makes of a message. From the edge of a start bit on it looks at the
-/// middle of each of its own bits; what has no stop bit is a byte as well, and then it waits for the line to
-/// be high. Times are counted in units of which a sent bit has `2 * own_rate`.
+/// What a receiver at another bit rate reads from a message. From the edge of a start bit on it samples the middle of
+/// each of its own bits. Without a stop bit it still reads a byte, and then waits for the line to be high. Times are in
+/// units of which a sent bit has `2 * own_rate`.
 fn misread(sent: &[u8], sent_rate: u32, own_rate: u32) -> Vec<u8> {
     let (sent_bit, own_bit) = (2 * u64::from(own_rate.max(1)), 2 * u64::from(sent_rate.max(1)));
     let is_high = |at: u64| {
@@ -85,7 +85,7 @@ fn misread(sent: &[u8], sent_rate: u32, own_rate: u32) -> Vec<u8> {
     let (mut at, mut bytes) = (0, Vec::new());
     while at < end {
         let is_one = |bit| u8::from(is_high(at + own_bit * bit + own_bit / 2));
-        // The line may be high again in the middle of what looked like a start bit.
+        // The line may be high again in the middle of an apparent start bit.
         if is_one(0) == 0 {
             bytes.push((1..=8).rev().fold(0, |byte, bit| byte << 1 | is_one(bit)));
             at += own_bit * 9 + own_bit / 2;
@@ -99,7 +99,7 @@ fn misread(sent: &[u8], sent_rate: u32, own_rate: u32) -> Vec<u8> {
     bytes
 }
 
-/// A byte that nobody but this station hears.
+/// A byte that only this station hears.
 fn for_itself(station: usize, byte: u8) -> Arrival<Vec<u8>> {
     Arrival { sender: station, hearers: vec![station], unit: vec![byte], part: None }
 }
@@ -107,7 +107,7 @@ fn for_itself(station: usize, byte: u8) -> Arrival<Vec<u8>> {
 /// An RS485 line and the stations on it.
 #[derive(Debug)]
 pub struct Rs485Line {
-    /// That of whoever has no other.
+    /// The rate of stations that have no other.
     bit_rate: u32,
     stations: Vec<Station>,
     heard: Option<Heard>,
@@ -151,7 +151,7 @@ impl Rs485Line {
             return;
         }
         match &mut self.heard {
-            // Heard as part of the byte that began before.
+            // It is heard as part of the byte that began before.
             Some(heard) => heard.byte = None,
             None => {
                 let whole = (index + 1 == of).then(|| message.bytes.clone());
@@ -166,7 +166,7 @@ impl Rs485Line {
         }
     }
 
-    /// What a station is sending on the line now, if anything, does not arrive as it was sent.
+    /// What a station is sending now, if anything, does not arrive as it was sent.
     fn spoil_byte(&mut self, station: usize) {
         let state = &mut self.stations[station];
         if let (false, Driver::Sending { .. }, Some(message)) =
@@ -191,7 +191,7 @@ impl Rs485Line {
         around.arrivals.push(Arrival { sender, hearers, unit: vec![byte], part });
     }
 
-    /// After a collision receivers may fall into the middle of a byte.
+    /// After a collision receivers may begin in the middle of a byte.
     fn hear_the_rest(&mut self, now: Nanos) {
         if self.heard.is_some() {
             return;
@@ -256,7 +256,7 @@ impl Rs485Line {
         }
     }
 
-    /// Whether all that a station had to send has left it and it listens again.
+    /// Whether a station has sent everything and listens again.
     pub(super) fn is_drained(&self, station: usize) -> bool {
         let station = &self.stations[station];
         station.queue.is_empty() && station.driver == Driver::Off
@@ -296,9 +296,9 @@ impl Bus for Rs485Line {
 
     fn finish(&mut self, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
-        // First what is heard, while the drivers are as they were.
+        // First what is heard, while the drivers are still as they were.
         self.end_heard(around);
-        // Then all ends before any beginning, so that who lets go now disturbs nobody.
+        // Then all ends before any beginning, so that a station that releases the line now disturbs none.
         for station in 0..self.stations.len() {
             if self.byte_is_over(station, now) {
                 self.end_byte(station, around);
@@ -370,7 +370,7 @@ impl Bus for Rs485Line {
     }
 
     fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<Vec<u8>>) {
-        // What changes within a byte spoils it.
+        // A change within a byte spoils it.
         self.spoil_byte(station);
         self.stations[station].is_cut = is_cut;
         self.spoil_byte(station);

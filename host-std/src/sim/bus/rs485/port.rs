@@ -89,7 +89,7 @@ impl Write for SerialPort {
     }
 }
 
-/// Takes what has come, unless nothing has.
+/// Takes what was received, if anything.
 fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Option<usize> {
     let mut count = 0;
     while count < buf.len()
@@ -102,10 +102,10 @@ fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Optio
     (count > 0 || buf.is_empty()).then_some(count)
 }
 
-/// Hands over what there is room for, unless there is none.
+/// Hands over what there is room for, if any.
 fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<usize> {
     let count = buf.len().min(kernel.bus.room(station));
-    // Without room this notes that somebody waits for some. Nothing finds room always.
+    // If there is no room, this notes that a caller waits for it. An empty message always has room.
     let message = if count == 0 { buf } else { &buf[..count] };
     kernel.submit(station, message.to_vec()).then_some(count)
 }
