@@ -19,22 +19,20 @@ use myactuator_protocol_core::{Channel, Firmware, Kind, MotorId, Opcode, Target}
 /// | `all_motors_command` | 0x280 | commands to all motors |
 /// | `bus_id` | 0x300 | bus id, both ways |
 ///
-/// The signal `command_byte` says which command a message is, and selects its other signals (it
-/// multiplexes them); motion mode has none. Where a field means something else for each value of
-/// another one, that one selects again: such messages need a reader of extended multiplexing
-/// (`SG_MUL_VAL_`).
+/// The signal `command_byte` says which command a message is, and selects its other signals (it multiplexes them).
+/// Messages of motion mode have none. If a field's meaning depends on the value of another one, that one selects again.
+/// Such messages need a reader of extended multiplexing (`SG_MUL_VAL_`).
 ///
-/// A signal is named for its command, then for the value that selects it (`other` for all values
-/// without a name), then for its [`Field::key`], which ends in the unit:
-/// `absolute_position_angle_deg`, `function_control_can_id_filter_value`. Characters of a text have
-/// their number behind it, from 1: `read_model_model_1`. A motion value without a known scale is a
-/// step: `motion_position_raw`. Some names have more than 32 characters, which the oldest readers cut.
+/// A signal's name has its command, then the value that selects it (`other` for all values without a name), then its
+/// [`Field::key`], which ends in the unit: `absolute_position_angle_deg`, `function_control_can_id_filter_value`.
+/// Characters of a text are numbered from 1: `read_model_model_1`. A motion value without a known scale is a step:
+/// `motion_position_raw`. Some names have more than 32 characters, and the oldest readers truncate these.
 ///
-/// Names of codes are value tables, meanings are comments. The text is ASCII, so that its encoding does
-/// not matter: units are `degC` and `N.m` where people see °C and N·m.
+/// Names of codes are value tables, meanings are comments. The text is ASCII, so its encoding does not matter: units
+/// are `degC` and `N.m` instead of °C and N·m.
 ///
-/// At 0x300 a command cannot be told from its reply, and shows the reply's signals too. A bus id that a
-/// drive reports bare and not as a reply identifier (4.3) is shown as a negative number.
+/// At 0x300 a command cannot be distinguished from its reply, so it shows the reply's signals, too. If a drive reports
+/// a bare bus id and not a reply identifier (4.3), it is shown as a negative number.
 ///
 /// ```
 /// use myactuator_host_std::explain::Dbc;
@@ -80,7 +78,7 @@ impl Dbc {
         channels.filter_map(|channel| self.message(channel)).collect()
     }
 
-    /// What travels on a channel, `None` if that is nothing.
+    /// The message of a channel; `None` if there is none.
     fn message(&self, channel: Channel) -> Option<Message> {
         let mut signals = Vec::new();
         let mut kinds = Vec::new();
@@ -145,7 +143,7 @@ impl fmt::Display for Dbc {
     }
 }
 
-/// The fields that a kind has on a channel, `None` if it does not travel there.
+/// The fields of a kind on a channel; `None` if it does not occur there.
 fn fields(opcode: Opcode, channel: Channel) -> Option<Vec<&'static Field>> {
     let (command, target) = match channel {
         Channel::Command(target) => (channel, target),
@@ -187,7 +185,7 @@ fn comment(opcode: Opcode, channel: Channel, field: &Field) -> String {
     format!("{comment} {} Manual {}.", opcode.meaning(), opcode.section())
 }
 
-/// Where the byte lies that decides whether a field is there.
+/// The position of the byte that decides whether a field is there.
 const fn selector(when: When) -> Option<Place> {
     match when {
         When::Always => None,
@@ -219,9 +217,9 @@ fn signal_name(opcode: Opcode, word: &str, key: &str) -> String {
 struct Condition {
     /// The signal that selects it.
     selector: String,
-    /// With which values.
+    /// The values that select.
     values: Vec<RangeInclusive<u8>>,
-    /// What these are called, empty for a command byte.
+    /// The name of these values; empty for a command byte.
     word: &'static str,
 }
 
@@ -246,10 +244,10 @@ impl Condition {
     }
 }
 
-/// What values without a name are called.
+/// The name of values without a name.
 const OTHER: &str = "other";
 
-/// The bytes that are none of these, in as few ranges as can be.
+/// All other bytes, in as few ranges as possible.
 fn all_but(codes: &[u8]) -> Vec<RangeInclusive<u8>> {
     let mut ranges: Vec<RangeInclusive<u8>> = Vec::new();
     for byte in (0..=u8::MAX).filter(|byte| !codes.contains(byte)) {
@@ -350,8 +348,8 @@ impl Signal {
             (Some(values), false) => write!(f, " m{}", values.start())?,
             (Some(values), true) => write!(f, " m{}M", values.start())?,
         }
-        // A DBC file counts bits from the lowest of the first byte up, and names the lowest bit of a
-        // little-endian signal, the highest of a big-endian one.
+        // A DBC file counts bits from the lowest of the first byte up. It names the lowest bit of a little-endian
+        // signal, and the highest of a big-endian one.
         let (start, order) = match self.place {
             Place::Bytes { first, .. } => (first * 8, 1),
             Place::Bits { first, .. } => (first / 8 * 8 + 7 - first % 8, 0),
@@ -367,12 +365,12 @@ impl Signal {
 
 struct Message {
     channel: Channel,
-    /// First the one that selects the others, where there is one.
+    /// If one signal selects the others, it comes first.
     signals: Vec<Signal>,
 }
 
 impl Message {
-    /// Writes to each section of the file what it has of this message.
+    /// Writes this message's part of each section of the file.
     fn write(
         &self,
         [layouts, comments, names, floats, selections]: &mut [String; 5],
@@ -394,7 +392,7 @@ impl Message {
         let id = identifier(self.channel);
         writeln!(layouts, "BO_ {id} {message}: 8 {sender}")?;
         writeln!(comments, "CM_ BO_ {id} \"{}\";", self.channel)?;
-        // Where several signals select, each signal has to say which one selects it.
+        // If several signals select, each signal has to name the one that selects it.
         let several_select = self.signals.iter().filter(|signal| signal.selects).count() > 1;
         for signal in &self.signals {
             signal.write_layout(layouts, &receiver)?;
@@ -419,7 +417,7 @@ impl Message {
     }
 }
 
-/// Text that is the same in every encoding that a reader may expect, and that ends no string early.
+/// Text that is the same in every encoding that a reader may expect, and that does not end a string.
 fn ascii(text: &str) -> String {
     let text = text.replace('°', "deg").replace('·', ".").replace('"', "'");
     text.replace(|other: char| !other.is_ascii(), "?")

@@ -1,4 +1,4 @@
-//! [`Explanation`], and how it is written for programs and for people.
+//! [`Explanation`], and its output for programs and for people.
 
 use std::fmt;
 
@@ -18,7 +18,7 @@ pub enum FrameDirection {
     Command,
     /// From a motor.
     Reply,
-    /// The one or the other: the bytes cannot tell.
+    /// Either of these: the bytes do not show which.
     Either,
 }
 
@@ -33,7 +33,7 @@ impl FrameDirection {
     }
 }
 
-/// A data field, and the fields that it has in one way to read it.
+/// A data field, and its fields in one reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     pub(super) fields: &'static [Field],
@@ -76,39 +76,38 @@ impl fmt::Display for Reading {
 /// What a decoded frame says.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// What it says. Where the direction is open, as a command.
+    /// What it says. If the direction is not known, this is what it says as a command.
     pub reading: Reading,
-    /// What it says as a reply, where the direction is open and that is something else.
+    /// What it says as a reply, if the direction is not known and that differs.
     pub if_reply: Option<Reading>,
-    /// What the library's own encoder makes of the decoded value. It differs from the frame only
-    /// in bytes that mean nothing (NULL in the manual) or have two spellings (4.3, 7.3).
+    /// The decoded value as this library encodes it. It differs from the frame only in bytes without a meaning (NULL in
+    /// the manual) or with two spellings (4.3, 7.3).
     pub canonical: String,
 }
 
-/// A frame, or bytes that are none, and what is known about it.
+/// A frame, or bytes that are not a frame, and what is known about them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Explanation {
-    /// When and where it was heard, for whom knows that: `Default` else.
+    /// When and where it was heard, if known; otherwise `Default`.
     pub stamp: Stamp,
     /// The frame in the notation of [`text`](crate::text), or the text or bytes that are no frame.
     pub raw: String,
     /// The bus it came on.
     pub bus: BusKind,
-    /// Whose frame it is: one motor's or all motors'. `None` where no motor of the protocol is
-    /// named.
+    /// The motor or motors of the frame; `None` if it names no motor of the protocol.
     pub id: Option<Target>,
-    /// Which way it went, where that is known or at least a question.
+    /// Its direction, [`Either`](FrameDirection::Either) if the bytes do not show it; `None` if it has none.
     pub direction: Option<FrameDirection>,
-    /// What it is, where the firmware has that.
+    /// Its kind, if the firmware has one for it.
     pub opcode: Option<Opcode>,
-    /// Its command byte, where it has one.
+    /// Its command byte, if it has one.
     pub byte: Option<u8>,
     /// What it says, or one sentence about why it says nothing.
     pub outcome: Result<Decoded, String>,
 }
 
 impl Explanation {
-    /// For what is no frame of the protocol: the text or bytes, and one sentence why.
+    /// For what is not a frame of the protocol: the text or bytes, and one sentence why.
     pub fn no_frame(bus: BusKind, raw: impl Into<String>, sentence: impl Into<String>) -> Self {
         Self {
             stamp: Stamp::default(),
@@ -127,9 +126,9 @@ impl Explanation {
         self.outcome.is_ok()
     }
 
-    /// As a JSON object with the keys `time` and `interface` where they are known, then `raw`, `bus`,
-    /// `id`, `direction`, `name`, `opcode` and then `fields` (perhaps `fields_if_reply`) and
-    /// `canonical`, or `error`. What else is not known is null; so is the name of a raw command.
+    /// As a JSON object with the keys `time` and `interface` if known, then `raw`, `bus`, `id`, `direction`, `name`,
+    /// `opcode`, and then either `fields` (possibly `fields_if_reply`) and `canonical`, or `error`. Anything else that
+    /// is not known is null, and so is the name of a raw command.
     pub fn to_json(&self) -> Value {
         let mut object = json!({});
         if let Some(time) = &self.stamp.time {
@@ -161,8 +160,8 @@ impl Explanation {
     }
 }
 
-/// One line for people. Text that was no frame stands in it as it came: who shows it on a terminal
-/// takes care of control characters.
+/// One line for people. Text that was not a frame is copied as it came: a program that shows it on a terminal has to
+/// handle control characters.
 impl fmt::Display for Explanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.stamp != Stamp::default() {

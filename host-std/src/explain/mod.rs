@@ -1,11 +1,10 @@
 //! What a frame says: its name, its fields with their units, and a sentence for people.
 //!
-//! An [`Explainer`] makes of a frame an [`Explanation`], which is a JSON object
-//! ([`Explanation::to_json`]) or a line of text (`Display`). [`Rs485Stream`] finds the frames in a
-//! stream of bytes and reports what was thrown away. [`Dbc`] writes the table of commands as a file that
-//! other makers' tools decode with.
+//! An [`Explainer`] turns a frame into an [`Explanation`], which is a JSON object ([`Explanation::to_json`]) or a line
+//! of text (`Display`). [`Rs485Stream`] finds the frames in a stream of bytes and reports what was discarded. [`Dbc`]
+//! writes the table of commands as a file with which other makers' tools decode.
 //!
-//! Stands on [`text`](crate::text) alone: it needs no bus, real or simulated.
+//! It uses only [`text`](crate::text): it needs no bus, real or simulated.
 //!
 //! ```
 //! use myactuator_host_std::explain::Explainer;

@@ -1,4 +1,4 @@
-//! Reads a frame as a command, as a reply, or as whichever it must be.
+//! Reads a frame as a command, as a reply, or as the likelier of the two.
 
 use embedded_can::Frame as _;
 use myactuator_protocol_core::command::{AnyCommand, AnyReply, Field, MotionRanges};
@@ -19,7 +19,7 @@ pub struct Explainer {
     pub firmware: Firmware,
     /// The scales of their motion mode; without them its values are steps.
     pub ranges: Option<MotionRanges>,
-    /// Which way frames went whose bytes cannot tell.
+    /// The direction of frames whose bytes do not show it.
     pub direction: FrameDirection,
 }
 
@@ -29,7 +29,7 @@ impl Explainer {
         Self { firmware, ranges: firmware.motion_ranges(), direction: FrameDirection::Either }
     }
 
-    /// What a CAN frame says. All identifiers but 0x300 settle which way it goes.
+    /// Explains a CAN frame. All identifiers except 0x300 show the direction.
     pub fn can_frame(&self, frame: &SimpleFrame) -> Explanation {
         let raw = text::can::frame(frame);
         let none = |sentence| Explanation::no_frame(BusKind::Can, raw.clone(), sentence);
@@ -66,9 +66,8 @@ impl Explainer {
         }
     }
 
-    /// What an RS485 frame says. On RS485 a command and its reply look the same, so that its bytes may
-    /// not settle which it is. What goes to all motors is a command, as no drive answers to all, except
-    /// for the bus id.
+    /// Explains an RS485 frame. On RS485 a command and its reply look the same, so its bytes may not show which it is.
+    /// A frame to all motors is a command, since no drive answers to all, except for the bus id.
     pub fn rs485_frame(&self, frame: &Frame) -> Explanation {
         let raw = text::rs485::bytes(&frame.encode());
         let command = frame.as_command();
@@ -79,7 +78,7 @@ impl Explainer {
         self.explain(raw, BusKind::Rs485, direction, &command, &reply)
     }
 
-    /// What a packet says, as the frame that carries it on this bus; `None` where that has none for it.
+    /// Explains a packet as its frame on this bus; `None` if that has no frame for it.
     pub fn packet(&self, bus: BusKind, packet: &Packet) -> Option<Explanation> {
         Some(self.by_channel(text::packet(bus, packet)?, bus, *packet))
     }
@@ -92,7 +91,7 @@ impl Explainer {
         self.explain(raw, bus, direction, &packet, &packet)
     }
 
-    /// Explains a packet by what it is as a command, as a reply, or as the likelier of them.
+    /// Explains a packet as a command, as a reply, or as the likelier of the two.
     fn explain(
         &self,
         raw: String,
@@ -155,7 +154,7 @@ impl Explainer {
         again: Data,
     ) -> Decoded {
         let reading = Reading { fields, data: packet.data, ranges: self.ranges };
-        // There is a text for whatever came in on this bus.
+        // A packet that came from this bus always has a text.
         let canonical = text::packet(bus, &Packet { data: again, ..*packet }).unwrap_or_default();
         Decoded { reading, if_reply: None, canonical }
     }
@@ -170,8 +169,8 @@ fn addressed(channel: Channel) -> (Target, FrameDirection) {
     }
 }
 
-/// Takes the likelier reading. One that sets bytes which mean nothing is unlikely; where both are
-/// as good, the direction stays open.
+/// Takes the likelier reading. One that sets bytes without a meaning is unlikely. If both are equally likely, the
+/// direction stays open.
 fn likelier(
     opcode: Option<Opcode>,
     command: Result<Decoded, DecodeError>,

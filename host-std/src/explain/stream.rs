@@ -1,4 +1,4 @@
-//! Frames in a stream of RS485 bytes, and what lies between them.
+//! Frames in a stream of RS485 bytes, and the bytes between them.
 
 use myactuator_protocol_core::wire::rs485::{ALL, FRAME_LENGTH, Fault, Fed, Frame, Receiver};
 use myactuator_protocol_core::{MotorId, Target};
@@ -9,8 +9,7 @@ use crate::{BusKind, text};
 
 /// Explains RS485 bytes as they come.
 ///
-/// Bytes that are thrown away come out as one explanation with an error, before the next frame or
-/// from [`finish`](Self::finish).
+/// Discarded bytes become one explanation with an error, before the next frame or from [`finish`](Self::finish).
 ///
 /// ```
 /// use myactuator_host_std::explain::{Explainer, Rs485Stream};
@@ -30,7 +29,7 @@ pub struct Rs485Stream {
     /// What the receiver holds.
     held: Vec<u8>,
     noise: Vec<u8>,
-    /// Why the first byte of `noise` was thrown away.
+    /// Why the first byte of `noise` was discarded.
     reason: Option<String>,
 }
 

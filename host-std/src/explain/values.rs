@@ -8,8 +8,8 @@ use serde_json::{Map, Value};
 /// Names with units, and values, in the order of the manual's tables.
 pub type Values = Map<String, Value>;
 
-/// The values that `fields` have in a data field. A code, a set of errors and a motion value have their
-/// number beside them, under a key that ends in `_raw`; a code without a name is null.
+/// The values of `fields` in a data field. A code, a set of errors and a motion value also have their number, under a
+/// key that ends in `_raw`. A code without a name is null.
 pub fn values(fields: &[Field], data: &Data, ranges: Option<&MotionRanges>) -> Values {
     let mut values = Values::new();
     for field in fields.iter().filter(|field| field.is_in(data)) {
@@ -23,7 +23,7 @@ pub fn values(fields: &[Field], data: &Data, ranges: Option<&MotionRanges>) -> V
     values
 }
 
-/// A value, and whether its number should stand beside it.
+/// A value, and whether its number is added.
 fn value(field: &Field, raw: i64, data: &Data, ranges: Option<&MotionRanges>) -> (Value, bool) {
     match field.quantity.form {
         Form::Steps(steps) if steps.denominator == 1 => {
@@ -47,7 +47,7 @@ fn value(field: &Field, raw: i64, data: &Data, ranges: Option<&MotionRanges>) ->
     }
 }
 
-/// A number of few digits in the double that people mean: 0.1, not 0.100000001.
+/// A number with few digits, as the double that people mean: 0.1, not 0.100000001.
 fn decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }

@@ -1,4 +1,4 @@
-//! What a motor's figures and its load come to in a step.
+//! The coefficients of a step, from a motor's figures and its load.
 
 use std::f64::consts::TAU;
 
@@ -11,15 +11,15 @@ const MAX_ELECTRIC_RATE_PER_S: f64 = 0.5 / STEP_S;
 /// Highest angular frequency of a spring, 1/s: 31 steps a period, at which the period is right to
 /// 0.2 %.
 const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
-/// The same for a load alone, while it crosses the gear's play: it only has to stay stable, which ends at 2.
+/// The same for a load alone, while it crosses the gear's play. It only has to stay stable, which ends at 2.
 const MAX_LOOSE_RATE_PER_S: f64 = 1.0 / STEP_S;
 
-/// What one step needs and only a change of load alters.
+/// What a step needs that changes only with the load.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Coefficients {
     /// Motor, gear and load together.
     pub(super) whole: Inertia,
-    /// What is on either side of the gear's play, if it has any.
+    /// The two sides of the gear's play, if it has any.
     pub(super) play: Option<Play>,
     pub(super) air_gap_nm_per_a: f64,
     pub(super) gear_loss: f64,
@@ -53,7 +53,7 @@ impl Coefficients {
         // Power balance: 3/2 of EMF amplitude times current amplitude is torque times speed.
         let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
 
-        // What the motor turns when it turns the least.
+        // The smallest inertia that the motor turns.
         let turned_kg_m2 = if has_play { motor_inertia } else { inertia };
         let resistance = parameters.motor.phase_resistance_ohm;
         let electric_rate_per_s =

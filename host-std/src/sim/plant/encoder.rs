@@ -1,6 +1,6 @@
 //! What the encoders show.
 
-/// Noise by the step: the same seed and step give the same, however often one looks.
+/// Noise as a function of the step: the same seed and step give the same value, however often it is read.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Noise {
     seed: u64,
@@ -21,7 +21,7 @@ impl Noise {
         self.step = self.step.wrapping_add(1);
     }
 
-    /// This step's, with a mean of 0 and 1 rms: the sum of four even ones, within ±2√3.
+    /// The noise of this step, with a mean of 0 and 1 rms: the sum of four uniform values, within ±2√3.
     pub(super) fn now(self) -> f64 {
         let mut bits = splitmix(self.seed ^ splitmix(self.step));
         let mut sum = 0.0;
@@ -29,7 +29,7 @@ impl Noise {
             sum += (bits & 0xFFFF) as f64 - 32_767.5;
             bits >>= 16;
         }
-        // Four times the variance of 65536 even values, (65536² - 1) / 12, is this squared.
+        // Four times the variance of 65536 uniform values, (65536² - 1) / 12, is the square of this.
         const RMS: f64 = 37_837.227;
         sum / RMS
     }
@@ -43,7 +43,7 @@ const fn splitmix(seed: u64) -> u64 {
     bits ^ (bits >> 31)
 }
 
-/// Whole pulses of an encoder of so many bits, turns included.
+/// Whole pulses of an encoder of this many bits, turns included.
 pub(super) fn pulses(angle_rad: f64, bits: u8) -> i64 {
     (angle_rad / std::f64::consts::TAU * f64::from(1_u32 << bits)).floor() as i64
 }

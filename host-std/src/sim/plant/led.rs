@@ -1,4 +1,4 @@
-//! What acts on a shaft that somebody else moves.
+//! The torques on a shaft that is led from outside.
 
 /// What acted on a [led](super::SimulatedMotor::lead) shaft since it was led last, the mean over that time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -26,7 +26,7 @@ impl Led {
         self.steps += 1;
     }
 
-    /// What acted in the mean; nothing where no time has passed.
+    /// The mean of what acted; zero if no time has passed.
     pub(super) fn mean(self) -> ShaftTorque {
         let steps = f64::from(self.steps.max(1));
         ShaftTorque { torque_nm: self.torque_nm / steps, friction_nm: self.friction_nm / steps }

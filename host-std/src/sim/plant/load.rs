@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Acceleration of a body that falls, m/s².
 pub(in crate::sim) const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// The largest angle that is told apart from its neighbours, degrees.
+/// The largest angle that can be distinguished from its neighbours, degrees.
 pub(super) const ANGLE_DEG: f64 = 1e9;
 
 /// What is fixed to the output shaft. All parts are optional, and add up.
@@ -130,7 +130,7 @@ impl Load {
         torque_nm - taken_nm * direction - self.damping_nm_s_per_rad * speed_rad_s
     }
 
-    /// What it does at this angle at any speed; the damper is left out.
+    /// What it does at this angle at any speed, without the damper.
     pub(super) fn reaction_at(&self, angle_rad: f64) -> Reaction {
         let mut torque_nm = self.torque_nm;
         if let Some(arm) = self.arm {
@@ -142,8 +142,8 @@ impl Load {
         let Some((stop, pressed_rad)) = self.touched_at(angle_rad) else {
             return Reaction { torque_nm, taken_nm: 0.0 };
         };
-        // What differs between in and out is against the movement, as dry friction is. So it is lost
-        // whatever the step, and ends in exact rest.
+        // The difference between in and out acts against the movement, as dry friction does. So it is lost with any
+        // step, and ends in exact rest.
         let stop_nm = stop.stiffness_nm_per_rad * pressed_rad;
         let given_back = stop.restitution * stop.restitution;
         Reaction {
@@ -160,8 +160,8 @@ impl Load {
         upper.filter(|(_, rad)| *rad > 0.0).or(lower.filter(|(_, rad)| *rad < 0.0))
     }
 
-    /// Where a shaft may be that is at `angle_rad`, degrees: no farther in a stop than one gets that comes with so
-    /// much speed and inertia, pushed by so much torque and by the rest of the load. Rounded outwards to 0.01°.
+    /// The allowed angles of a shaft that is to be at `angle_rad`, degrees: no deeper in a stop than a shaft gets that
+    /// comes with this speed and inertia, pushed by this torque and by the rest of the load. Rounded outwards to 0.01°.
     pub(super) fn reach_deg(&self, angle_rad: f64, comes: Coming) -> RangeInclusive<f64> {
         let free = Self { upper_stop: None, lower_stop: None, ..*self };
         let torque_nm = comes.torque_nm + free.reaction_at(angle_rad).torque_nm.abs();
@@ -180,7 +180,7 @@ impl Load {
             ..=(ends[1].min(ANGLE_DEG) * 100.0).ceil() / 100.0
     }
 
-    /// The part that is the stiffest, and the largest stiffness that all of them can make, N·m/rad.
+    /// The stiffest part, and the largest stiffness of all parts together, N·m/rad.
     pub(super) fn stiffness(&self) -> (&'static str, f64) {
         let stop = |stop: Option<EndStop>| stop.map_or(0.0, |stop| stop.stiffness_nm_per_rad);
         let parts = [
@@ -228,7 +228,7 @@ impl Arm {
     }
 }
 
-/// How a shaft comes to a stop at the most.
+/// The most with which a shaft hits a stop.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Coming {
     pub(super) inertia_kg_m2: f64,
@@ -242,7 +242,7 @@ pub(super) struct Coming {
 pub(super) struct Reaction {
     /// Torque on the shaft, N·m.
     pub(super) torque_nm: f64,
-    /// Torque against any movement, N·m, as of dry friction.
+    /// Torque against any movement, N·m, like dry friction.
     pub(super) taken_nm: f64,
 }
 

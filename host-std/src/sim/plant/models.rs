@@ -5,19 +5,18 @@
 pub struct Model {
     /// The maker's full name, for [`MotorParameters::named`](super::MotorParameters::named).
     pub name: &'static str,
-    /// The parameter file: where each figure comes from stands in its comments. A good start for a
-    /// file of one's own.
+    /// The parameter file. Its comments name the source of each figure. Start from it to write a file of your own.
     pub toml: &'static str,
 }
 
 impl Model {
-    /// Whether this is its full name, or that of the maker's catalogue; capitals do not matter.
+    /// Whether this is its full name, or that of the maker's catalogue; case does not matter.
     pub(super) fn is_called(&self, name: &str) -> bool {
         self.name.eq_ignore_ascii_case(name) || catalogue_name(self.name).eq_ignore_ascii_case(name)
     }
 }
 
-/// A model's name as the maker's catalogue has it, and drives tell it: "X8-120" for the RMD-X8-P20-120.
+/// A model's name as the maker's catalogue has it and drives report it: "X8-120" for the RMD-X8-P20-120.
 pub(in crate::sim) fn catalogue_name(name: &str) -> String {
     let name = name.strip_prefix("RMD-").unwrap_or(name);
     match name.split_once('-').zip(name.rsplit_once('-')) {

@@ -27,17 +27,17 @@ const HALF_STEP_S: f64 = STEP_S / 2.0;
 /// Temperature at which the phase resistance is given, °C; also the air's, until set.
 const REFERENCE_C: f64 = 25.0;
 
-/// Below this voltage at its input a drive's electronics draw nothing, V. Estimated: logic of 3.3 V behind a
-/// regulator; no document says.
+/// Below this voltage at its input a drive's electronics draw nothing, V. Estimated for logic of 3.3 V behind a
+/// regulator; no document has it.
 pub(in crate::sim) const BROWN_OUT_V: f64 = 4.0;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
-/// Amplitude of a phase's back-EMF at which the diodes begin to conduct, as a share of the supply's voltage:
-/// 1/√3, for between two phases there is √3 times as much.
+/// Amplitude of a phase's back-EMF at which the diodes begin to conduct, as a share of the supply's voltage: 1/√3,
+/// since between two phases there is √3 times as much.
 const DIODES_SHARE: f64 = 0.577_350_269_189_625_8;
 
-/// Of a [calm](SimulatedMotor::is_calm) motor: what it draws, and the share that its back-EMF has of that at which the
+/// Limits of a [calm](SimulatedMotor::is_calm) motor: what it draws, and its back-EMF as a share of that at which the
 /// diodes begin to conduct.
 const CALM_A: f64 = 1.0;
 const CALM_SHARE: f64 = 0.5;
@@ -81,7 +81,7 @@ pub struct SimulatedMotor {
     noise: Noise,
 
     external_torque_nm: f64,
-    /// What acted on the shaft since it was led last, while it is led at all.
+    /// What acted on the shaft since it was led last, while it is led.
     led: Option<Led>,
     /// Whether the brake is open, whatever the drive wants.
     forced_brake: Option<bool>,
@@ -196,23 +196,23 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// From now on its source is a common point, behind a cable with its supply's resistance, both ways.
+    /// From now on its source is a common point, behind a cable with its supply's resistance in both directions.
     pub(in crate::sim) fn join(&mut self, point: &CommonPoint) {
         self.link.join(point.voltage_v(), STEP_S);
     }
 
-    /// What it has drawn from the common point since this was asked last, C.
+    /// What it has drawn from the common point since the last call, C.
     pub(in crate::sim) fn take_charge_c(&mut self) -> f64 {
         self.link.take_charge_c()
     }
 
-    /// The common point has this voltage now.
+    /// Sets the voltage of the common point.
     pub(in crate::sim) fn follow(&mut self, point: &CommonPoint) {
         self.link.follow(point.voltage_v());
     }
 
-    /// Whether what it draws is little and hardly depends on the supply's voltage: its back-EMF is far below what
-    /// makes diodes conduct or a voltage too low.
+    /// Whether it draws little, nearly independent of the supply's voltage: its back-EMF is far below what makes diodes
+    /// conduct or a voltage too low.
     pub(in crate::sim) fn is_calm(&self) -> bool {
         let emf_v = self.coefficients.emf_v_s_per_rad * self.shaft.motor_speed_rad_s();
         self.supply_current_a.abs() < CALM_A
@@ -338,7 +338,7 @@ impl SimulatedMotor {
 
         let motor = &self.parameters.motor;
         let warmer_k = self.winding.temperature_c() - REFERENCE_C;
-        // No conductor loses its resistance in the cold.
+        // The resistance stays positive in the cold.
         let warmth = (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1);
         let winding_ohm = motor.phase_resistance_ohm * warmth;
         let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
@@ -410,7 +410,7 @@ impl SimulatedMotor {
         -amplitude_nm * libm::sin(self.shaft.motor_angle_rad() * self.coefficients.cogging_per_rad)
     }
 
-    /// What friction, gear and brake take at most, whatever the speed.
+    /// The most that friction, gear and brake take, at any speed.
     fn dry_friction_nm(&self, motor_nm: f64, brake_released: bool) -> f64 {
         let friction = &self.parameters.friction;
         let at_rest = self.shaft.motor_speed_rad_s() == 0.0;
@@ -436,8 +436,8 @@ impl SimulatedMotor {
 }
 
 impl Plant for SimulatedMotor {
-    /// Whole steps of [`STEP`]; what is left of `span` is carried to the next call, so that the same
-    /// time in other portions gives the same bits. A command that is not a number is 0 A.
+    /// Makes whole steps of [`STEP`]. The rest of `span` is carried to the next call, so that the same time in other
+    /// portions gives the same bits. A command that is not a number is 0 A.
     fn advance(&mut self, actuation: &Actuation, span: Duration) -> Measurement {
         let command_a =
             if actuation.current_a.is_nan() { 0.0 } else { f64::from(actuation.current_a) };
@@ -539,7 +539,7 @@ mod tests {
         assert!(motor.set_output_angle_deg(f64::INFINITY).is_err());
     }
 
-    /// As deep as the motor gets at full speed and torque, a load may still be changed.
+    /// A load may still be changed at the depth that the motor reaches at full speed and torque.
     #[test]
     fn a_load_is_changed_while_a_stop_is_pressed_in() {
         let stop = EndStop { at_deg: 5.0, stiffness_nm_per_rad: 500.0, restitution: 0.9 };
@@ -570,7 +570,7 @@ mod tests {
             let error = motor.set_load(load).unwrap_err().to_string();
             assert!(error.contains(&format!("make its {part} softer")), "{error}");
             assert_eq!(motor.load, Load::NONE);
-            // The other way out that the error names.
+            // The other remedy that the error names.
             motor.set_load(Load { inertia_kg_m2: 2.5, ..load }).unwrap();
             motor.set_load(Load::NONE).unwrap();
         }

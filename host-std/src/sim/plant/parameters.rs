@@ -6,7 +6,7 @@ use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
 
-/// One table of the file: its struct, and the range of each of its figures beside the figure.
+/// One table of the file: its struct, and the range next to each figure.
 macro_rules! table {
     (
         $(#[$attr:meta])*

@@ -1,11 +1,11 @@
 //! What turns: the motor's side and the load's side of the gear, and the play between its teeth.
 //!
-//! While the teeth press on each other both sides turn as one. They part when the load would run away from the
-//! motor, cross the play each by itself, and meet without bouncing: the speeds become one, the momentum stays,
-//! and what is lost is μ Δω² / 2, μ being the product of both inertias by their sum. The moment at which they
-//! meet is exact within the step, so the gap is never more than the play.
+//! While the teeth press on each other both sides turn as one. They part when the load would run away from the motor,
+//! cross the play separately, and meet without bouncing: the speeds become equal, the momentum stays, and the loss is μ
+//! Δω² / 2, where μ is the product of both inertias divided by their sum. The moment at which they meet is exact within
+//! the step, so the gap is never more than the play.
 
-/// One inertia, and what a step of time makes of its speed.
+/// One inertia, and how a step of time changes its speed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inertia {
     kg_m2: f64,
@@ -31,18 +31,18 @@ impl Inertia {
     }
 }
 
-/// What acts on a side, but for viscous friction.
+/// What acts on a side, except viscous friction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Acting {
     pub(super) torque_nm: f64,
-    /// What is taken at most from any movement, N·m.
+    /// The most that is taken from any movement, N·m.
     pub(super) dry_nm: f64,
 }
 
-/// A gear whose teeth have play: its two sides by themselves.
+/// A gear whose teeth have play: its two separate sides.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Play {
-    /// How far the motor's side goes ahead of the load's, either way, until the teeth meet, rad.
+    /// How far the motor's side can be ahead of the load's or behind it until the teeth meet, rad.
     pub(super) half_rad: f64,
     pub(super) motor: Inertia,
     pub(super) load: Inertia,
@@ -79,7 +79,7 @@ impl Shaft {
     pub(super) fn at_rest(angle_rad: f64, motor_rad: f64, play: Option<&Play>) -> Self {
         let half_rad = play.map_or(0.0, |play| play.half_rad);
         let ahead_rad = motor_rad - angle_rad;
-        // Angles are told in degrees, which rounds them: what was on a side is on it again.
+        // Angles are given in degrees, which rounds them: a side that was in contact is in contact again.
         let is_between = ahead_rad.abs() < half_rad * (1.0 - 1e-6);
         Self {
             angle_rad,
@@ -108,7 +108,7 @@ impl Shaft {
         }
     }
 
-    /// Turns on for a time at the speeds it has.
+    /// Turns on for a time at its speeds.
     pub(super) fn drift(&mut self, play: Option<&Play>, span_s: f64) {
         let (Teeth::Open { motor_rad_s }, Some(play)) = (self.teeth, play) else {
             self.angle_rad += self.speed_rad_s * span_s;
@@ -131,7 +131,7 @@ impl Shaft {
         self.teeth = Teeth::Closed;
     }
 
-    /// The speeds a step later.
+    /// The speeds after a step.
     pub(super) fn push(
         &mut self,
         whole: &Inertia,

@@ -79,7 +79,7 @@ impl Supply {
         }
         check("input capacitance", "F", 0.000_1..=100.0, self.capacitance_f)?;
         if let Some(brake) = self.brake_resistor {
-            // A supply that keeps it on would burn in it.
+            // If the supply kept it on, it would burn.
             let goes_on = "voltage at which the brake resistor goes on";
             let on_above_v = check(goes_on, "V", self.voltage_v..=MOST_V, brake.on_above_v)?;
             let off = "voltage at which the brake resistor goes off";
@@ -107,7 +107,7 @@ pub(super) struct Link {
     burnt: Path,
     burns: bool,
     step_s: f64,
-    /// Of a drive behind a common point: what it took since that was asked last, C.
+    /// What a drive behind a common point has drawn since the last call, C.
     taken_c: Option<f64>,
 }
 
@@ -133,7 +133,7 @@ impl Path {
     }
 }
 
-/// Below this voltage the current is reckoned as if at it: power through zero volts has no meaning.
+/// Below this voltage the current is calculated as at this voltage, since power at zero volts has no meaning.
 const FLOOR_V: f64 = 1.0;
 
 impl Link {
@@ -166,8 +166,8 @@ impl Link {
         self.held_v.unwrap_or(self.voltage_v)
     }
 
-    /// Keeps the voltage at the capacitor and what a test holds, on another source. Behind a common point that
-    /// stays the source, and only the cable and the capacitor become others.
+    /// Changes the source, and keeps the voltage at the capacitor and what a test holds. Behind a common point, that
+    /// stays the source, and only the cable and the capacitor change.
     pub(super) fn replace_supply(&mut self, supply: Supply, step_s: f64) {
         let supply = match self.taken_c {
             Some(_) => supply.cable_to(self.supply.voltage_v),
@@ -188,7 +188,7 @@ impl Link {
         self.taken_c = Some(0.0);
     }
 
-    /// The common point has another voltage now.
+    /// Sets the voltage of the common point.
     pub(super) fn follow(&mut self, source_v: f64) {
         self.supply.voltage_v = source_v;
         for path in [&mut self.drawn, &mut self.fed_back, &mut self.burnt] {
@@ -196,7 +196,7 @@ impl Link {
         }
     }
 
-    /// What the drive took from the common point since this was asked last, C.
+    /// What the drive has drawn from the common point since the last call, C.
     pub(super) fn take_charge_c(&mut self) -> f64 {
         self.taken_c.as_mut().map_or(0.0, std::mem::take)
     }
@@ -229,11 +229,11 @@ impl Link {
     }
 }
 
-/// Where the cables of several drives meet that share a supply.
+/// The point where the cables of several drives meet that share a supply.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::sim) struct CommonPoint {
     supply: Supply,
-    /// The drives' capacitors, behind cables that hardly matter to them, F.
+    /// The drives' capacitors, with the effect of the cables neglected, F.
     drives_f: f64,
     link: Link,
 }
@@ -258,7 +258,7 @@ impl CommonPoint {
         self.link.voltage_v
     }
 
-    /// Drives have drawn this charge in so many steps.
+    /// Drives have drawn this charge in this many steps.
     pub(in crate::sim) fn draw_c(&mut self, charge_c: f64, steps: u32) {
         let current_a = charge_c / (self.link.step_s * f64::from(steps));
         (0..steps).for_each(|_| self.link.draw(current_a));

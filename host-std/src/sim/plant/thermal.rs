@@ -2,8 +2,8 @@
 
 /// One temperature: heat capacity and thermal resistance to ambient.
 ///
-/// Its step is exact for a loss that is constant over the step: the way to the steady temperature
-/// is exponential with the time constant capacity times resistance.
+/// Its step is exact for a loss that is constant over the step: it approaches the steady temperature exponentially,
+/// with the time constant capacity times resistance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ThermalNode {
     temperature_c: f64,
@@ -26,8 +26,8 @@ impl ThermalNode {
         Self { temperature_c, is_held: false, resistance_k_per_w, remaining }
     }
 
-    /// One step with `loss_w` watts of heating in air (or in a housing) of `ambient_c`, unless it is held. Gives
-    /// the power that it passes on to that, in the mean of the step, W.
+    /// One step with `loss_w` watts of heating, in air (or in a housing) of `ambient_c`, unless its temperature is
+    /// held. Returns the power that it passes on, in the mean of the step, W.
     pub(super) fn step(&mut self, loss_w: f64, ambient_c: f64) -> f64 {
         let before_c = self.temperature_c;
         if !self.is_held {

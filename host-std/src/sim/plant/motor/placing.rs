@@ -1,4 +1,4 @@
-//! The shaft is placed from outside: by a hand, as a former run has left it, or by mechanics that lead it.
+//! The shaft is placed from outside: by hand, as an earlier run has left it, or by mechanics that lead it.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,12 +12,13 @@ use crate::sim::plant::shaft::Shaft;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::sim) struct ShaftPlace {
     pub(in crate::sim) output_deg: f64,
-    /// The motor's, which may be anywhere in the play.
+    /// The motor's side, which may be anywhere in the play.
     pub(in crate::sim) motor_side_deg: f64,
 }
 
 impl SimulatedMotor {
-    /// Whether a shaft with this load may be at this angle, degrees. Nothing moves a led one.
+    /// Whether a shaft with this load may be at this angle, degrees. A led shaft may be anywhere: nothing else moves
+    /// it.
     pub(super) fn check_reach(&self, load: &Load, angle_deg: f64) -> Result<(), ImpossibleFigure> {
         if self.led.is_some() {
             return Ok(());
@@ -123,8 +124,8 @@ mod tests {
     use super::*;
     use crate::sim::plant::{EndStop, MotorParameters};
 
-    /// Where a stop is told to be behind a shaft that cannot have come there, and the other way round; what the motor
-    /// leans on is none of that.
+    /// Refuses a stop that the shaft could not have passed, or a shaft beyond such a stop. A stop on which the motor
+    /// leans is allowed.
     #[test]
     fn a_shaft_is_not_put_far_beyond_a_stop() {
         let stop = |at_deg| EndStop { at_deg, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
@@ -151,7 +152,7 @@ mod tests {
         motor.set_external_torque_nm(-300.0).unwrap();
         motor.set_output_angle_deg(150.0).unwrap();
         motor.set_external_torque_nm(0.0).unwrap();
-        // A stop that gives way at once is none.
+        // A stop that yields at once is no stop.
         let soft = EndStop { stiffness_nm_per_rad: 0.0, ..stop(140.0) };
         motor.set_load(Load { upper_stop: Some(soft), ..Load::NONE }).unwrap();
         motor.set_output_angle_deg(1e6).unwrap();
