@@ -25,10 +25,10 @@ use super::to_all::{SHUTDOWN, STOP};
 use super::truth::Page;
 use super::world::Rough;
 
-/// A request is sent so often at the most, where nothing else is said.
+/// The most attempts of a request, unless something else is said.
 const ATTEMPTS: u32 = 3;
 
-/// Marks a speed request, to be told from a stream's.
+/// Marks a speed request, to distinguish it from a stream's.
 const REQUEST_MARK: u8 = 7;
 
 /// 0xB1 with a token in the bytes that its reply leaves free.
@@ -58,7 +58,7 @@ impl<W: Rough> Session<W> {
         REQUESTS | self.asked
     }
 
-    /// Who is expected to answer what all are asked: not everyone who does.
+    /// Motors that are expected to answer a command to all. Others may answer as well.
     fn expected(&self) -> MotorSet {
         self.motors().filter(|motor| motor.get() % 3 != 0).collect()
     }
@@ -209,7 +209,7 @@ impl<W: Rough> Session<W> {
             None => master.request(motor, command),
         };
         if asked.is_err() {
-            // Nobody has heard its token, and there are few.
+            // Its token was not heard, and there are few.
             self.asked -= 1;
         }
         match asked {
@@ -239,7 +239,7 @@ impl<W: Rough> Session<W> {
             }
             Err(RequestError::Stopped) if is_stopped => {}
             Err(RequestError::Restarted) if moves => {}
-            // A stop is under way.
+            // A stop is in flight.
             Err(RequestError::Busy) if self.is_stopping(motor) => {}
             // The motor follows a stream of this kind, or reports it: ask for something else.
             Err(RequestError::Streamed(Opcode::Speed)) => {}

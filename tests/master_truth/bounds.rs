@@ -1,8 +1,8 @@
-//! How long anything may take at the most, and what time counts for it.
+//! How long anything may take, and which time counts for it.
 //!
 //! No bound holds for a bus that takes nothing, and requests wait for stops and for commands to all. So there are three
-//! clocks, each of which stands while what comes before the thing goes on. Whatever keeps one of them standing has a
-//! bound itself, so that nothing waits for ever. None of them is the master's: that one may jump.
+//! clocks. Each of them stands still while something goes on for which its requests have to wait. That has a bound as
+//! well, so nothing waits forever. None of the clocks is the master's, which may jump.
 
 use myactuator_protocol_core::Data;
 use myactuator_protocol_core::master::{Bus, Config};
@@ -12,25 +12,25 @@ use super::drives::UNKNOWN;
 use super::scenarios::Scenario;
 use super::to_all::SHUTDOWN;
 
-/// A stop is sent so often, and waited for no longer than this.
+/// The attempts of a stop, and the time-out of each.
 const STOP_ATTEMPTS: u32 = 15;
 const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
-/// What the reply to a write to ROM is waited for; so is that to a command that no firmware knows.
+/// The time-out of a write to ROM, and of a command that no firmware knows.
 const ROM_TIMEOUT: Duration = Duration::from_millis(20);
-/// Nobody looks for so long at the most: a caller takes the events before this one, or has failed.
+/// The longest time without a look: a caller takes the events before this one, or has failed.
 const NOBODY_LOOKS: Duration = Duration::from_millis(5);
 
-/// What goes on.
+/// What time counts while.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub(crate) enum Quiet {
-    /// The bus takes nothing, or nobody can say for how long anything takes.
+    /// The bus takes nothing, or it is not known how long anything takes.
     #[default]
     None,
     /// It takes what it is given.
     Steady,
-    /// And no stop is under way, nor what ends motion while all are to be moved.
+    /// In addition no stop is in flight, and nothing that ends motion while all are to be moved.
     Calm,
-    /// And nothing to all.
+    /// In addition no command to all is in flight.
     Free,
 }
 
@@ -40,13 +40,13 @@ pub(crate) struct Clocks {
     pub(crate) steady: Duration,
     pub(crate) calm: Duration,
     pub(crate) free: Duration,
-    /// When somebody looked last, and the least that went on since.
+    /// The time of the last look, and the least that went on since.
     looked: Instant,
     since: Quiet,
 }
 
 impl Clocks {
-    /// It is this late in the world, and this goes on.
+    /// Advances to this time of the world, in which this goes on.
     pub(crate) fn pass(&mut self, now: Instant, is: Quiet) {
         self.disturb(is);
         for (clock, of) in [
@@ -61,7 +61,7 @@ impl Clocks {
         (self.looked, self.since) = (now, is);
     }
 
-    /// No more than this went on, if only for a moment.
+    /// No more than this went on, even if only for a moment.
     pub(crate) fn disturb(&mut self, to: Quiet) {
         if to < self.since {
             self.since = to;
@@ -74,7 +74,7 @@ impl Clocks {
 pub(crate) struct Bounds {
     config: Config,
     step: Duration,
-    /// Until it is a motor's turn: each other one has its request and its set-point before.
+    /// Until it is a motor's turn: each other motor has its request and its set-point first.
     turn: Duration,
     /// Until each stop under way has been sent once.
     round_of_stops: Duration,
@@ -87,14 +87,14 @@ impl Bounds {
         let step = Duration::from_millis(u64::from(scenario.conditions.coarse_clock));
         let timeout = config.reply_timeout + step;
         let (turn, round_of_stops) = match config.bus {
-            // Two commands and two replies of each. Its own set-point may be lost, and one of another motor's that may
-            // be waiting for its turn to answer is waited for.
+            // Two commands and two replies of each motor. Its own set-point may be lost. So may the set-point of
+            // another motor that may be waiting for its turn to answer, which is waited for.
             Bus::Can => {
                 let all = config.frame_time.times(4 * motors);
                 (all + timeout + timeout, all)
             }
-            // One exchange at a time, each with a motor that may be silent; and whoever else speaks on the line has as
-            // much of it.
+            // One exchange at a time, each with a motor that may be silent. Another sender on the line may take as much
+            // time.
             Bus::Rs485 { turnaround, echo } => {
                 let conditions = &scenario.conditions;
                 let motors =
@@ -103,7 +103,7 @@ impl Bounds {
                 let longest = if scenario.conditions.repeats { ROM_TIMEOUT } else { timeout };
                 let exchange = timeout.max(longest) + frames;
                 let stop = timeout.min(LONGEST_STOP_TIMEOUT) + frames;
-                // Where nobody has said whether the adapter echoes, each goes behind a read that shows it.
+                // If it was not configured whether the adapter echoes, each comes after a read that shows it.
                 let reads = if echo { 1 } else { 2 };
                 (exchange.times(2 * reads * motors), stop.times(reads * motors))
             }
@@ -111,33 +111,35 @@ impl Bounds {
         Self { config, step, turn, round_of_stops }
     }
 
-    /// For as long as this a reply to what was given up may come, and nothing that could be mistaken for it goes.
+    /// For this long a reply to a command that was given up may come, and nothing is sent that could be mistaken for
+    /// it.
     fn late(&self) -> Duration {
         self.config.reply_timeout + self.config.late_window + self.step
     }
 
-    /// What a reply to this is waited for.
+    /// The time-out of the reply to this.
     pub(crate) fn timeout(&self, data: &Data) -> Duration {
         let timeout = self.config.reply_timeout;
         if data[0] == UNKNOWN { timeout.max(ROM_TIMEOUT) } else { timeout }
     }
 
-    /// A motor that was told to restart is left alone for so long.
+    /// How long a motor that was told to restart is left alone.
     pub(crate) fn restart(&self) -> Duration {
         self.config.restart_time
     }
 
-    /// A request with so many attempts, in free time.
+    /// A request with this many attempts, in free time.
     pub(crate) fn request(&self, data: &Data, timeout: Duration, attempts: u32) -> Duration {
         let attempt = timeout + self.step + self.turn;
-        // What ends motion is answered, waits until nothing from before can move the motor any more, and goes again.
+        // A request that ends motion is answered, waits until nothing sent before it can move the motor any more, and
+        // is sent again.
         let once_more =
             if is_ending(data) { self.late() + self.late() + attempt } else { Duration::ZERO };
         attempt.times(attempts) + self.late() + self.config.settle_time + once_more + NOBODY_LOOKS
     }
 
-    /// A command to all, in calm time: behind what has begun, and behind the answers to the one before. (One that moves
-    /// waits for whatever ends motion, so that it is not calm then.)
+    /// A command to all, in calm time: after what has begun, and after the answers to the one before. (One that moves
+    /// waits for everything that ends motion, so the time is not calm then.)
     pub(crate) fn broadcast(&self) -> Duration {
         let Config { reply_timeout, attempts, .. } = self.config;
         let begun = self.request(
@@ -148,13 +150,13 @@ impl Bounds {
         begun + self.late() + self.late() + reply_timeout + NOBODY_LOOKS
     }
 
-    /// A stop, in steady time: all its attempts, behind what is in flight, and until nothing from before can move
-    /// the motor any more. On CAN an attempt that is not answered may say that it can, once more: at every second.
+    /// A stop, in steady time: all its attempts, after what is in flight, and until nothing sent before it can move the
+    /// motor any more. On CAN an attempt that is not answered may extend that, once every second.
     pub(crate) fn stop(&self) -> Duration {
         let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         let (attempt, waits) = match self.config.bus {
             Bus::Can => (timeout + self.step + self.round_of_stops, STOP_ATTEMPTS / 2 + 1),
-            // On a line nobody waits beside another.
+            // On a line only one waits at a time.
             Bus::Rs485 { .. } => (self.round_of_stops, 1),
         };
         attempt.times(STOP_ATTEMPTS) + self.late() + self.late().times(waits) + NOBODY_LOOKS

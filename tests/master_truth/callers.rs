@@ -12,7 +12,7 @@ use super::oracle::{Oracle, Totals};
 use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// An event waits for those before it, and for a caller who does not look.
+/// An event waits for those before it, and for a caller that does not look.
 const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
 
@@ -42,7 +42,7 @@ pub(crate) struct Session<W: Rough> {
     pub(super) due: Vec<bool>,
     /// Decides what has come to the callers since their seeds were drawn first.
     pub(super) more: Dice,
-    /// Who is stopped next by itself, while something to all may wait.
+    /// The motor that is stopped next on its own, while a command to all may wait.
     overtakes_at: Option<Instant>,
     /// All are stopped again as often, and when next.
     pub(super) again: Option<(StopKind, Duration, Instant)>,
@@ -145,7 +145,7 @@ impl<W: Rough> Session<W> {
             match heard {
                 Ok(Some(event)) => {
                     self.take(&event);
-                    // Whoever answers each drop on a dead bus with a new set-point takes some time for it.
+                    // A caller that answers each drop on a dead bus with a new set-point takes some time for it.
                     self.stage.world.run_for(Duration::from_micros(1));
                 }
                 Ok(None) => {}
@@ -171,7 +171,7 @@ impl<W: Rough> Session<W> {
             && !self.motors().any(|motor| self.awaits_feedback(motor))
     }
 
-    /// Whether something is still to be told of its newest set-point, as nobody has stopped it since.
+    /// Whether an event of its newest set-point is still to come, since no caller has stopped it since.
     fn awaits_feedback(&self, motor: MotorId) -> bool {
         let truth = self.stage.book.open();
         let page = &truth.pages[motor.index()];
@@ -179,7 +179,7 @@ impl<W: Rough> Session<W> {
             && page.set_points.put_at > page.stop_called.max(page.may_be_stopping_since)
     }
 
-    /// It waits until it is too old, then its feedback may be lost; and nobody looks for a while.
+    /// It waits until it is too old, or its feedback may be lost. And for a while no caller looks.
     fn longest_stream_wait(&self) -> Duration {
         let config = self.scenario.config::<W>();
         config.set_point_max_age + config.reply_timeout + Duration::from_millis(60)
@@ -198,8 +198,8 @@ impl<W: Rough> Session<W> {
         Duration::from_micros(one * u64::from(self.scenario.motors) * more / 100)
     }
 
-    /// Sleeps until the master or a frame has something to do: if the master's `poll_at` forgets
-    /// anything, an outcome comes far too late.
+    /// Sleeps until the master or a frame has something to do. If the master's `poll_at` forgets anything, an outcome
+    /// comes far too late.
     fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
         for motor in self.motors() {
@@ -324,7 +324,7 @@ impl<W: Rough> Session<W> {
             if now < self.next_ask[index] {
                 continue;
             }
-            // Half of them at once, as soon as the one before is over.
+            // Half of them at once, as soon as the previous one is over.
             let waits = if conditions.pace == Pace::Flood { 0 } else { self.dice.below(2) };
             self.next_ask[index] = now + Duration::from_micros(self.pace().as_micros() * 2 * waits);
             if self.oracle.open[index].is_none() {
@@ -336,7 +336,7 @@ impl<W: Rough> Session<W> {
         }
     }
 
-    /// All or one; of a motor that is not asked anything, too.
+    /// All motors or one, including one that is not asked anything.
     fn stop(&mut self) {
         let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
         let one = self.dice.below(3) == 0;
@@ -372,7 +372,7 @@ impl<W: Rough> Session<W> {
         truth.stop(self.stopped, kind, one.is_none(), known);
     }
 
-    /// Ends the motion of all, often with a stop of one behind it; and stops all once more.
+    /// Ends the motion of all, often with a stop of one after it, and stops all once more.
     fn end_and_stop_more(&mut self, now: Instant) {
         if self.scenario.conditions.ends_all {
             if self.oracle.broadcast.is_none() && self.more.below(400) == 0 {
@@ -389,7 +389,7 @@ impl<W: Rough> Session<W> {
         }
         if let Some((kind, every, _)) = self.again.filter(|(.., next)| *next <= now) {
             self.again = Some((kind, every, now + every));
-            // Seldom somebody changes their mind.
+            // Rarely it changes its mind.
             let other = if self.more.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
             let kind = if self.more.below(16) == 0 { other } else { kind };
             self.stop_now(kind, None);
@@ -397,7 +397,7 @@ impl<W: Rough> Session<W> {
         }
     }
 
-    /// Some time after all have confirmed the stop it is lifted; seldom before.
+    /// Some time after all have confirmed the stop it is lifted; rarely before.
     fn lift(&mut self) {
         if self.stopped.is_empty() {
             return;
@@ -420,7 +420,7 @@ impl<W: Rough> Session<W> {
     }
 
     fn take(&mut self, event: &Event) {
-        // Nothing is counted of who has no place yet.
+        // Nothing is counted of a motor without a place.
         if let Event::Stray { motor, .. } = *event
             && !self.stage.host.master().motors().contains(motor)
         {
@@ -433,7 +433,7 @@ impl<W: Rough> Session<W> {
             | Event::SetPointDropped { motor } => self.due[motor.index()] = true,
             Event::Restarted { motor } => {
                 self.due[motor.index()] = true;
-                // Some look where it is first.
+                // Some read its angle first.
                 if self.dice.below(2) == 0 {
                     self.stream(motor.index());
                 }
@@ -446,7 +446,7 @@ impl<W: Rough> Session<W> {
 
     fn check_health(&mut self) {
         let conditions = self.scenario.conditions;
-        // Without stops, which go over what is in flight, and what is neither answer nor loss.
+        // Without stops, which push aside what is in flight, and without frames that are neither answer nor loss.
         let exactly = conditions.is_plain && !conditions.lost_masters && !conditions.restarts;
         for motor in self.motors() {
             let health = self.stage.host.master().health(motor);

@@ -11,20 +11,20 @@ use super::truth::DONE;
 
 /// No reply to these is the same bytes.
 const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
-/// So many answers without an echo show that there is none.
+/// This many answers without an echo show that there is none.
 const ANSWERS: u8 = 4;
-/// What comes later shows nothing: its echo is waited for no longer than 100 ms, less the steps of the clock.
+/// A later answer shows nothing: its echo is waited for no longer than 100 ms, less the steps of the clock.
 const SHOWS_WITHIN: Duration = Duration::from_millis(98);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Doubt {
     /// It was said to echo, or this is no line.
     Never,
-    /// So many answers are to come yet; this was sent last of what may bring one; and what has come.
+    /// How many answers are still to come; what was sent last that may bring one; and what has come.
     Open { left: u8, asked: Option<Asked>, come: Come },
 }
 
-/// What may bring an answer that shows something: who was asked what, and when, in the world's time.
+/// What may bring an answer that shows something: which motor was asked what, and when, in the world's time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Asked {
     what: (MotorId, u8),
@@ -36,9 +36,10 @@ pub(super) struct Asked {
 pub(super) struct Come {
     /// An echo last, to this.
     echo: Option<(MotorId, u8)>,
-    /// So many answers since, without theirs.
+    /// How many answers since, without their echo.
     without: u8,
-    /// This one has said that it has lost its master: what comes back until it answers may be no echo, and shows none.
+    /// This motor has said that it has lost its master: until it answers, what comes back may be no echo, and shows
+    /// none.
     hands_back: Option<MotorId>,
 }
 
@@ -55,12 +56,13 @@ impl Doubt {
         matches!(self, Self::Open { left: 1.., .. })
     }
 
-    /// Whether a read that comes back as it was sent passes for an echo: always where no answer to it is the same bytes.
+    /// Whether a read that comes back unchanged passes for an echo. It always does if no answer to it has the same
+    /// bytes.
     pub(super) fn takes_read_for_echo(self, byte: u8) -> bool {
         self.is_open() || self != Self::Never && NEVER_LIKE_THEIR_REPLY.contains(&byte)
     }
 
-    /// Noise has taken the echoes of so many reads in a row that an adapter which echoes seems not to.
+    /// Noise has destroyed the echoes of so many reads in a row that an adapter which echoes seems not to.
     pub(super) fn is_misled(self) -> bool {
         matches!(self, Self::Open { come: Come { without: ANSWERS.., .. }, .. })
     }
@@ -99,7 +101,7 @@ impl Doubt {
         let is_soon = answered.is_some_and(|asked| world - asked.at <= SHOWS_WITHIN);
         *left = left.saturating_sub(is_soon.into());
         come.hands_back.take_if(|hands_back| *hands_back == motor);
-        // Behind its echo it shows nothing more.
+        // After its echo it shows nothing more.
         let has_echoed = come.echo.take_if(|echo| *echo == (motor, byte)).is_some();
         come.without = come.without.saturating_add((!has_echoed).into());
     }
@@ -119,10 +121,10 @@ impl Doubt {
     }
 }
 
-/// What the loop finds out by, and the answer.
+/// The loop's own read that shows it, and the answer to it.
 pub(super) const SHOWS_ECHO: Name = Name { byte: 0x9A, token: 0 };
 
-/// Whether this is that of the loop, or its echo.
+/// Whether this is the loop's own read, or its echo.
 pub(super) fn shows_echo(packet: &Packet) -> bool {
     packet.data == ReadStatus1.encode()
 }

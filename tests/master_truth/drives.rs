@@ -25,9 +25,9 @@ use super::turning::Shaft;
 /// A byte that no drive here knows.
 pub(crate) const UNKNOWN: u8 = 0x71;
 const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
-/// A drive that has lost its master says so that often; real ones do once a second.
+/// How often a drive that has lost its master says so; real ones do once a second.
 const HEARTBEAT: Duration = Duration::from_millis(20);
-/// It hears nothing for so long first: that is how it loses its master.
+/// How long it hears nothing before: that is how it loses its master.
 const DEAF: Duration = Duration::from_millis(8);
 const DAY_MS: u64 = 24 * 3_600 * 1_000;
 /// How long a drive takes to restart (field notes).
@@ -44,7 +44,7 @@ pub(crate) struct Drive<W> {
     /// It hears nothing before: it restarts, or its wire is loose.
     deaf_until: Instant,
     booted: Instant,
-    /// It had run for so long when the master began.
+    /// How long it had run when the master began.
     ran_ms: u64,
     /// It has lost its master, and says so next at this time.
     lost: Option<Instant>,
@@ -55,7 +55,7 @@ pub(crate) struct Drive<W> {
     shaft: Shaft,
     /// How long it takes to restart.
     pub(crate) boot: Duration,
-    /// One reply in so many comes twice, 0 for none.
+    /// One reply in this many comes twice, 0 for none.
     pub(crate) repeats: u64,
     /// It does not hear what is sent to all (function 2).
     pub(crate) is_deaf_to_all: bool,
@@ -89,7 +89,7 @@ impl<W> Drive<W> {
 
     /// It has run for long already, as this decides.
     pub(crate) fn has_run(&mut self, dice: &mut Dice) {
-        // The last is about to begin anew.
+        // The last is about to wrap.
         let ages = [
             dice.below(10_000),
             dice.below(DAY_MS),
@@ -106,7 +106,7 @@ impl<W> Drive<W> {
         self.lost = Some(self.deaf_until);
     }
 
-    /// It reports an error by itself (function 3).
+    /// It reports an error on its own (function 3).
     pub(crate) fn report_error(&mut self, now: Instant) {
         let data = self.report_of(0x9A);
         self.replies.push_back((now, Packet { channel: Channel::Reply(self.motor), data }));
@@ -138,7 +138,7 @@ impl<W> Drive<W> {
             Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
             _ => return,
         };
-        // On RS485 another drive's reply is like a command, if it has this one's id.
+        // On RS485 another drive's reply looks like a command if that drive has the same id.
         if now < self.deaf_until || packet.data[0] == LOST_MASTER[0] {
             return;
         }
@@ -255,7 +255,7 @@ pub(crate) struct Stranger<W> {
     motor: MotorId,
     /// Decides when it moves it, if it does.
     moves: Option<Dice>,
-    /// Decides which motor is next of so many, and whether in motion mode, if it does so with any.
+    /// Decides which of this many motors is next, and whether in motion mode, if it moves any motor.
     roams: Option<(Dice, u8)>,
 }
 
@@ -273,7 +273,7 @@ impl<W: Wire> Stranger<W> {
         }
     }
 
-    /// It goes on to another motor. Gives whether it moves that in motion mode.
+    /// Goes on to another motor. Returns whether it moves that in motion mode.
     fn roam(&mut self) -> bool {
         let Some((dice, motors)) = &mut self.roams else { return false };
         let next = MotorId::new(dice.below(u64::from(*motors)) as u8 + 1);
@@ -315,7 +315,7 @@ impl<W: Wire> Node<W::Frame> for Stranger<W> {
         let data = match self.dice.below(20) {
             0..8 => with_token(ReadMultiTurnAngle, token).encode(),
             8..11 => pid(PidIndex::from_raw(1)),
-            // Which our callers never ask.
+            // Our callers never ask this.
             11..16 => pid(PidIndex::POSITION_KD),
             16..19 => with_token(ReadStatus2, token).encode(),
             _ => with_token(Stop, token).encode(),

@@ -1,6 +1,5 @@
-//! What no master can know, as the documentation of `master` has it. Each excuse is noted when the thing
-//! itself happens, frame by frame, and holds for that question of that motor, for as long as its
-//! consequences may go on.
+//! What no master can know, as documented in `master`. Each excuse is noted when its cause happens, frame by frame. It
+//! holds for that question of that motor, for as long as the consequences may last.
 
 use std::collections::HashMap;
 
@@ -8,7 +7,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::names::Question;
 
-/// Why an event may be wrong, or a command come when it must not.
+/// Why an event may be wrong, or a command may come when it must not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Excuse {
     /// A drive answered twice, or a command reached it twice.
@@ -23,14 +22,14 @@ pub(crate) enum Excuse {
     HeldBack,
     /// The drive has lost its master, and what it said of that was lost: it sends back what it ignores.
     LostMasterUntold,
-    /// Noise has taken the echoes of four reads in a row of an adapter that nobody said to echo, so that it seems
-    /// not to; and this is an echo.
+    /// Noise has destroyed the echoes of four reads in a row of an adapter that was not configured to echo, so that it
+    /// seems not to; and this is an echo.
     EchoesTaken,
-    /// A drive's run time has begun anew, as it does after 49.7 days, and the master had not read it.
+    /// A drive's run time has wrapped, as it does after 49.7 days, and the master had not read it.
     RunTimeBeganAnew,
-    /// A shaft that turns fast is told late, after a reply that was lost.
+    /// The angle of a shaft that turns fast is reported late, after a reply that was lost.
     FastAndLate,
-    /// The drive reports by itself (0xB6, function 3) what looks like an answer.
+    /// The drive reports on its own (0xB6, function 3) what looks like an answer.
     ReportedByItself,
 }
 
@@ -39,13 +38,12 @@ pub(crate) enum Excuse {
 pub(crate) struct Excuses {
     /// For each question, the newest last.
     questions: HashMap<Question, Vec<(Excuse, Instant)>>,
-    /// Something of it was doubled, nobody knows what.
+    /// Something of it was doubled; it is not known what.
     doubling: Option<(Excuse, Instant)>,
 }
 
 impl Excuses {
-    /// This has happened to a frame of this question: for a late window, the answer to the next one may
-    /// be another's.
+    /// This has happened to a frame of this question. For a late window, the answer to the next one may be another's.
     pub(crate) fn note(&mut self, of: Question, excuse: Excuse, now: Instant, window: Duration) {
         let excuses = self.questions.entry(of).or_default();
         excuses.retain(|(other, until)| *other != excuse && now <= *until);
@@ -57,8 +55,8 @@ impl Excuses {
         self.doubling = Some((excuse, now + window.times(2)));
     }
 
-    /// The excuse for a wrong answer to this question. Whose own answer then comes may be taken for that
-    /// to the next, so it goes on holding.
+    /// The excuse for a wrong answer to this question. Its own answer, if it then comes, may be taken for that to the
+    /// next. So the excuse goes on holding.
     pub(crate) fn take(&mut self, of: Question, now: Instant, window: Duration) -> Option<Excuse> {
         let excuse = self.of(of, now)?;
         self.note(of, excuse, now, window);
@@ -69,7 +67,7 @@ impl Excuses {
         self.holding(question, now).last()
     }
 
-    /// Whether this one holds, whatever was noted since.
+    /// Whether this excuse holds, whatever was noted since.
     pub(crate) fn holds(&self, excuse: Excuse, of: Question, now: Instant) -> bool {
         self.holding(of, now).any(|holding| holding == excuse)
     }
@@ -79,8 +77,7 @@ impl Excuses {
         excuses.filter(move |(_, until)| now <= *until).map(|(excuse, _)| *excuse)
     }
 
-    /// The excuse for what was doubled, where tokens cannot tell: an acknowledgement of a stop is like any
-    /// other.
+    /// The excuse for what was doubled, where tokens do not help: all acknowledgements of a stop are alike.
     pub(crate) fn doubling(&self, now: Instant) -> Option<Excuse> {
         self.doubling.filter(|(_, until)| now <= *until).map(|(excuse, _)| excuse)
     }

@@ -10,7 +10,7 @@ use super::stops::Answers;
 use super::to_all::STOP;
 use super::truth::{DONE, MAY_HAVE_RESTARTED, Truth};
 
-/// What comes sooner after its command may be taken for a doubled frame.
+/// What comes earlier than this after its command may be taken for a doubled frame.
 const TOO_SOON: Duration = Duration::from_micros(500);
 
 impl Truth {
@@ -35,7 +35,7 @@ impl Truth {
                     if name.moves() && (page.is_stopped || put < page.ended || sending.taken > 0) {
                         self.breaks(format!("{name:X?} moves all, and motor {motor} is stopped"));
                     }
-                    // Who does not answer is counted as missing that.
+                    // A motor that does not answer is counted as missing that.
                     let page = self.page(motor);
                     page.answered_newest &= is_stop;
                     if name.moves() {
@@ -172,12 +172,12 @@ impl Truth {
                 page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
             if is_stop || is_before {
-                // One to all is nobody's own.
+                // A command to all belongs to no motor.
                 let is_of_this = is_own && !is_before;
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_of_this));
                 page.tellings = page.tellings.saturating_sub(u32::from(is_own));
                 if is_own && name != page.stop {
-                    // One before this. If that alone had told it, it was not told.
+                    // One before this. If only that one had told it, the motor was not told.
                     page.may_be_untold = true;
                     if page.tellings == 0 {
                         (page.is_told, page.was_told) = (false, false);
@@ -185,10 +185,10 @@ impl Truth {
                 }
                 page.is_told &= !is_own || page.stops_taken > 0 || page.was_told;
             } else if name.is_set_point() && page.newest_set_point == name.token {
-                // It may go again.
+                // It may be sent again.
                 page.newest_set_point -= 1;
             } else if is_own && name.is_ending() {
-                // A request that is over may have told it for all that the master knows: its frame can be a stop's.
+                // As far as the master knows, a request that is over may have told it: its frame can be a stop's.
                 let put = page.sendings.get(&name).map(|sending| sending.put);
                 let is_over = page.ends != put
                     || put < Some(page.stop_called.max(page.may_be_stopping_since));
@@ -198,7 +198,7 @@ impl Truth {
                 page.set_points.handed_back(name.token, now);
             }
         }
-        // It may have lain there for long.
+        // It may have been there for long.
         if !was_due && self.is_first_stop_due() {
             self.offers.since = self.world;
         }
@@ -220,7 +220,7 @@ impl Truth {
         let is_own = packet.channel != Channel::Command(Target::All);
         let is_alone = name.is_stop() || is_own;
         let page = self.page(motor);
-        // An answer to what was told all at once says nothing of what was sent before.
+        // An answer to a command to all shows nothing of what was sent before.
         let ended = page.ended_alone;
         let sending = page.sendings.entry(name).or_default();
         sending.heard += 1;
@@ -228,8 +228,7 @@ impl Truth {
         sending.ignored += u32::from(ignores);
         let sending = *sending;
         let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
-        // On a line two of one id take each other's acknowledgements for commands, and may go on so for ever.
-        // What earlier ones have missed, while they restarted, says nothing of this one.
+        // On a line two drives with one id take each other's acknowledgements for commands, and may go on forever.
         let is_by_both = has_twin && sending.heard_since > 1;
         if is_by_both || sending.heard > sending.taken && (has_twin || !name.is_stop()) {
             page.excuses.note(question_of(packet), doubled, now, window);
@@ -259,8 +258,9 @@ impl Truth {
         }
         let was_ended = sending.put < ended && page.ended_heard >= ended;
         let is_behind = was_ended && !page.is_stopping && !reorders;
-        // By priority a move of all, or one in motion mode, comes out of its mailbox behind what one was told: that goes
-        // once more, and is told as answered behind the move. What another station has made up lay in no mailbox.
+        // By priority a move of all, or one in motion mode, leaves its mailbox after a command that ends motion. Then
+        // that is sent once more, and reported as answered after the move. What another station has made up was in no
+        // mailbox.
         let is_less_urgent = is_can && (!is_own || name.byte == 0) && !sending.was_never_put();
         let goes_again = is_less_urgent && page.ends == Some(ended);
         if is_behind && goes_again {
@@ -294,7 +294,7 @@ impl Truth {
         let is_misled = self.echoes && self.doubt.is_misled();
         let is_no_echo = packet.data[3] == DONE || name.byte == 0xB1 && copies == 1;
         let page = self.page(motor);
-        // Not in motion mode, whose first byte is an id.
+        // Not in motion mode, where the first byte is an id.
         let is_lost_master = name.byte == 0xF1;
         // What may pass for an echo need not be taken for one.
         page.unanswered = 0;
@@ -320,7 +320,7 @@ impl Truth {
             page.excuses.note(question, Excuse::EchoesTaken, now, window);
         }
         if name == SHOWS_ECHO {
-            // Nobody has asked that is told the answer, unless it comes when nobody expects it any more.
+            // The answer goes to no caller that asked, unless it comes when it is no longer expected.
             if now - page.asked_for_echo_at > window {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
             }
@@ -336,7 +336,7 @@ impl Truth {
             // A collision may also leave the token as it was.
             page.excuses.note(question, Excuse::MadeUp, now, window);
         } else if name.is_stop() {
-            // All are of one name: it answers the last, or one before.
+            // All have the same name: it answers the last one, or one before.
             let last = page.sendings.get(&name).map(|sending| sending.last_taken);
             if last.is_some_and(|at| now - at > window) {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
@@ -357,7 +357,7 @@ impl Truth {
                 page.answered_newest |= sending.last_taken == page.asked_at;
             }
             if sending.delivered > sending.taken * copies {
-                // Noise may make a frame that its drive hears, and answers.
+                // Noise may turn it into a frame that its drive hears and answers.
                 let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
                 page.excuses.note(question, doubled, now, window);
             } else if now - sending.last_taken > window {

@@ -1,5 +1,4 @@
-//! What runs the master: a loop that polls, or an async one in the world's executor, whose futures may be
-//! dropped.
+//! What runs the master: a loop that polls, or an async one in the world's executor, whose futures may be dropped.
 
 use embassy_futures::select::{Either, select};
 use myactuator_host_std::sim::bus::World;
@@ -14,10 +13,10 @@ use myactuator_tests::dice::Dice;
 use super::scenarios::{Loop, Scenario};
 use super::world::{Rough, RoughError};
 
-/// A future that is dropped is so within this: several frames of either bus.
+/// A future that is dropped is dropped within this time: several frames of either bus.
 const DROPPED_WITHIN_US: u64 = 1_000;
 
-/// A loop, whichever.
+/// A loop of any kind.
 pub(crate) enum Host<W: Rough> {
     Polled(W::Polled),
     Async {
@@ -29,7 +28,7 @@ pub(crate) enum Host<W: Rough> {
 }
 
 impl<W: Rough> Host<W> {
-    /// This async loop, whose futures are dropped or not as the scenario says.
+    /// This async loop; the scenario says whether its futures are dropped.
     pub(super) fn tasks(bus: W::Async, world: &World<W>, scenario: &Scenario) -> Self {
         let drops = scenario.conditions.runs == Loop::AsyncDropped;
         let drops = drops.then(|| Dice::new(scenario.seed ^ 0xD40B));
@@ -43,7 +42,7 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    /// When its loop has to look again. A task's may have been dropped anywhere.
+    /// When its loop has to run again. A task's may have been dropped anywhere.
     pub(super) fn wakes_at(&mut self) -> Option<Instant> {
         match self {
             Self::Polled(bus) => bus.master().poll_at(),
@@ -75,7 +74,7 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    /// Waits until then, or until there is something to do; an async loop does that at once.
+    /// Waits until then, or until there is something to do. An async loop does that at once.
     pub(super) fn wait(&mut self, until: Instant) -> Result<Option<Event>, RoughError> {
         match self {
             Self::Polled(bus) => {
@@ -86,7 +85,7 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    /// An async loop until then, unless its future is dropped before.
+    /// Runs an async loop until then, unless its future is dropped before.
     fn run(&mut self, until: Instant) -> Result<Option<Event>, RoughError> {
         let Self::Async { bus, world, drops } = self else { return Ok(None) };
         let run = bus.run(Some(until));

@@ -1,18 +1,18 @@
-//! What frames are called: each command carries a token, and so does its reply.
+//! The names of frames: each command carries a token, and so does its reply.
 
 use myactuator_protocol_core::{Channel, Opcode, Packet};
 use myactuator_tests::rig::{STREAM_MARK, token_of};
 
-/// Tokens of requests; below are the numbers of set-points.
+/// Tokens of requests; numbers below are those of set-points.
 pub(crate) const REQUESTS: u32 = 0x0100_0000;
-/// Tokens of what drives report by themselves.
+/// Tokens of what drives report on their own.
 pub(crate) const REPORTS: u32 = 0x3D00_0000;
 /// Tokens of another master.
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
 /// Marks its set-points, whose token comes back in half: in motion mode as the end of the torque.
 pub(crate) const STRANGER_MARK: u8 = 9;
 
-/// What tells one command and its replies from all others of a motor.
+/// What distinguishes one command and its replies from all others of a motor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Name {
     /// The command byte, 0 for motion mode.
@@ -20,7 +20,7 @@ pub(crate) struct Name {
     pub(crate) token: u32,
 }
 
-/// What the master can tell apart: a command byte and an index.
+/// What the master can distinguish: a command byte and an index.
 pub(crate) type Question = (u8, u8);
 
 impl Name {
@@ -35,12 +35,12 @@ impl Name {
             }
             (Channel::Motion(_), _) => (0, u32::from(u16::from_be_bytes([d[0], d[1]]))),
             (Channel::MotionReply(_), _) => (0, u32::from(u16::from_be_bytes([d[1], d[2]]))),
-            // The reply's value lies where the others have their token.
+            // The reply has its value where others have their token.
             (_, 0xB1) => (0xB1, REQUESTS | u32::from_le_bytes([d[1], d[2], d[3], 0])),
             (_, byte) if has_angle(byte) && d[1] == STRANGER_MARK => {
                 (byte, STRANGERS | token_of(d) & 0xFFFF)
             }
-            // The angle of their feedback lies in the other half.
+            // The angle of their feedback is in the other half.
             (_, 0xA2) if d[1] != STREAM_MARK => (0xA2, REQUESTS | token_of(d) & 0xFFFF),
             (_, byte) if has_angle(byte) => (byte, token_of(d) & 0xFFFF),
             (_, byte) => (byte, token_of(d)),

@@ -1,4 +1,4 @@
-//! What must hold of each event, by what really happened.
+//! Checks each event against what really happened.
 
 use std::collections::HashMap;
 
@@ -15,10 +15,10 @@ use super::sayings::{
 use super::to_all::STOP;
 use super::truth::{DONE, Sending, Truth};
 
-/// A stop is given up after so many.
+/// A stop is given up after this many.
 const STOP_ATTEMPTS: u32 = 15;
 
-/// A request whose outcome is to come.
+/// A request without an outcome so far.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Open {
     pub(crate) ticket: TicketId,
@@ -26,7 +26,7 @@ pub(crate) struct Open {
     pub(crate) data: Data,
 }
 
-/// A broadcast that is under way.
+/// A broadcast in flight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asked {
     pub(crate) data: Data,
@@ -34,20 +34,20 @@ pub(crate) struct Asked {
     pub(crate) answered: MotorSet,
 }
 
-/// What was told so far, of one motor.
+/// What was reported so far of one motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Told {
     pub(crate) no_reply: u64,
     pub(crate) unanswered: u64,
     pub(crate) strays: u64,
     lost_master: u32,
-    /// So many set-points seemed ignored, since an echo passed for what their drive hands back.
+    /// How many set-points seemed ignored, because an echo passed for what their drive hands back.
     seemed_ignored: u32,
-    /// When it was told last to have restarted.
+    /// When its last restart was reported.
     restarted: u64,
 }
 
-/// What a scenario came to.
+/// The results of a scenario.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Totals {
     pub(crate) requests: u64,
@@ -59,7 +59,7 @@ pub(crate) struct Totals {
     pub(crate) stops: u64,
     /// Stops of all that were called again before they were lifted.
     pub(crate) stops_again: u64,
-    /// Commands to all that end motion, and how many got one by themselves since it was overtaken.
+    /// Commands to all that end motion, and how many motors got one of their own since it was overtaken.
     pub(crate) ended_all: u64,
     pub(crate) turned: u64,
     pub(crate) confirmed: u64,
@@ -70,7 +70,7 @@ pub(crate) struct Totals {
     pub(crate) lost_master: u64,
     pub(crate) bus_errors: u64,
     pub(crate) excused: HashMap<Excuse, u64>,
-    /// The longest that a request, a command to all and a stop took, in percent of what they may.
+    /// The longest that a request, a command to all and a stop took, in percent of their bounds.
     pub(crate) slowest: [u64; 3],
 }
 
@@ -102,7 +102,7 @@ impl Totals {
     }
 }
 
-/// Holds what is told against the truth.
+/// Compares what is reported with the truth.
 #[derive(Debug)]
 pub(crate) struct Oracle {
     pub(crate) open: Vec<Option<Open>>,
@@ -202,7 +202,7 @@ impl Oracle {
                     false => STOP_ATTEMPTS,
                 };
                 if page.is_stopped {
-                    // It goes on, and nothing more is told of that but its confirmation.
+                    // It goes on, and only its confirmation is still reported.
                     (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
                     page.may_be_untold &= page.stops_taken == 0;
                     (page.stops_taken, page.was_told) = (0, page.is_told);
@@ -263,9 +263,9 @@ impl Oracle {
                 true
             }
             Failure::NotExecuted if of.ignored > 0 || truth.flips => true,
-            // What comes back as it was sent was handed back, if it is no echo.
+            // What comes back unchanged was handed back, if it is no echo.
             Failure::NotExecuted if is_echo_for_answer(motor, &open.data, truth) => true,
-            // It ignored another one, and that was not seen. An acknowledgement is the command itself.
+            // It ignored another one, which was not seen. An acknowledgement is the command itself.
             Failure::NotExecuted => {
                 let page = &mut truth.pages[motor.index()];
                 let is_next = std::mem::take(&mut page.ignores_next) && !has_values(open.data[0]);
@@ -284,12 +284,12 @@ impl Oracle {
                     || is_move(&open.data) && page.ended_with_all > of.put
                     || was_held
             }
-            // A stop that was given up goes again whatever was asked meanwhile.
+            // A stop that was given up is sent again, whatever was asked meanwhile.
             Failure::StopUnconfirmed => {
                 let page = &truth.pages[motor.index()];
                 page.was_given_up && page.may_be_stopping
             }
-            // It says that the command was dropped. Where it may be asked again, the last attempt was.
+            // It says that the command was dropped. If it may be asked again, the last attempt was dropped.
             Failure::BusDown => {
                 of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
             }
@@ -321,7 +321,7 @@ impl Oracle {
             let mut answer = reply.encode();
             answer[3] = DONE;
             if !has_values(data[0]) {
-                // It is told without its token, so that only its drive knows whether it was asked.
+                // It is reported without its token, so only its drive knows whether it was asked.
                 return check_was_heard(motor, &data, truth);
             }
             check_answer(motor, &data, &answer, truth);
@@ -338,8 +338,8 @@ impl Oracle {
     ) {
         let (page, told) = (&truth.pages[motor.index()], &self.told[motor.index()]);
         let asking = page.asking;
-        // A set-point that was ignored counts as unanswered, and is not lost. So does one that may be what was: the
-        // drive may have ignored the one before, or what another master has told it.
+        // A set-point that was ignored counts as unanswered, and is not lost. So does one that may have been ignored:
+        // the drive may have ignored the one before, or a command of another master.
         let heard = page.sendings.values().map(|sending| sending.ignored);
         let ignored = heard.sum::<u32>() + told.lost_master + told.seemed_ignored;
         let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
@@ -347,7 +347,7 @@ impl Oracle {
         let most = u64::from(u16::MAX);
         // What seemed ignored is neither.
         let exactly = exactly && !truth.excused.contains_key(&Excuse::EchoesTaken);
-        // Late feedback was told last, and the newest set-point is on its way.
+        // Late feedback was reported last, and the newest set-point is on its way.
         let is_one_under_way =
             !page.answered_newest && truth.now - page.asked_at < truth.reply_timeout;
         let over = asking.saturating_sub(is_one_under_way.into());
@@ -362,12 +362,12 @@ impl Oracle {
     }
 }
 
-/// 0xB6 has no room for a token, so that equal ones are not told apart.
+/// 0xB6 has no room for a token, so equal ones cannot be distinguished.
 fn has_no_token(byte: u8) -> bool {
     byte == 0xB6
 }
 
-/// Whether the master sends it again by itself: reads, RAM writes, and what stops.
+/// Whether the master repeats it on its own: reads, RAM writes, and what stops.
 fn is_repeated(byte: u8) -> bool {
     matches!(
         byte,

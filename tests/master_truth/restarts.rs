@@ -1,4 +1,4 @@
-//! What shows that a motor has restarted, beside its turns: how long it was silent, and how long it says that it has run.
+//! What shows that a motor has restarted, besides its turns: how long it was silent, and its run time.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
@@ -6,15 +6,15 @@ use myactuator_protocol_core::{Data, MotorId};
 use super::excuses::Excuse;
 use super::truth::{MAY_HAVE_RESTARTED, Sending, Truth};
 
-/// A run time begins anew after so many milliseconds.
+/// A run time wraps after this many milliseconds.
 pub(super) const WRAPS_MS: u64 = 1 << 32;
-/// Who is known for so long says nothing.
+/// After this long a run time shows nothing.
 const IS_OLD: i64 = 48 * 24 * 3_600 * 1_000_000;
-/// By so much, and one part in so many, a drive's clock may differ; and so much the steps that are counted in.
+/// A drive's clock may differ by this much and by one part in this many; and the steps that are allowed for.
 const CLOCKS_DIFFER: i64 = 250_000;
 const CLOCKS_DIFFER_BY: i64 = 64;
 const STEPS: i64 = 10_000;
-/// A restart that a run time shows is told right behind it.
+/// A restart that a run time shows is reported right after it.
 const IS_TOLD: Duration = Duration::from_millis(50);
 
 /// What is known of how long a drive has run.
@@ -22,20 +22,20 @@ const IS_TOLD: Duration = Duration::from_millis(50);
 pub(crate) struct RunTime {
     /// Since when the master has known it to run, by its clock, in microseconds.
     since: Option<i64>,
-    /// It was told to restart before it was ever heard: it need not have been there.
+    /// It was told to restart before it was ever heard: it may not have been there.
     is_unheard: bool,
-    /// It has shown a restart then, and none was told yet.
+    /// It showed a restart then, which was not reported yet.
     shown: Option<Instant>,
-    /// When it begins anew, in the world's time, unless the master was told how long it had run since.
+    /// When it wraps, in the world's time, unless the master was told how long it had run since.
     begins_anew: Option<Instant>,
-    /// The master knows how long it has run: it was told, and nothing since that it may have restarted.
+    /// The master knows how long it has run: it was told, and no possible restart since.
     is_known: bool,
-    /// It was read first when it had begun anew: then, by the master's clock.
+    /// It was first read after it had wrapped: then, by the master's clock.
     read_anew: Option<Instant>,
 }
 
 impl RunTime {
-    /// The drive had run for so long when the world began.
+    /// How long the drive had run when the world began.
     pub(crate) fn had_run(&mut self, ran_ms: u64) {
         self.begins_anew = Some(Instant::from_millis(WRAPS_MS - ran_ms));
     }
@@ -45,7 +45,7 @@ impl RunTime {
         self.begins_anew = None;
     }
 
-    /// Something of it was told.
+    /// Something of it was reported.
     fn is_there(&mut self, now: Instant) {
         let now = now.as_micros() as i64;
         let since = self.since.get_or_insert(now);
@@ -54,14 +54,14 @@ impl RunTime {
         }
     }
 
-    /// It is told that it has restarted; it may be about to until then. Whether anything was heard of it before.
+    /// A restart is reported; until then it may be about to be. Returns whether anything was heard of it before.
     fn restarted(&mut self, until: Instant, was_heard: bool) {
         self.is_unheard = !was_heard;
         (self.since, self.shown) = (Some(until.as_micros() as i64), None);
         self.is_known = false;
     }
 
-    /// It is told that it has run for so long, in answer to what was sent then.
+    /// Its run time is reported, in answer to what was sent then.
     fn read(&mut self, ran_ms: u32, sent: Instant, now: Instant, world: Instant, shows: bool) {
         let ran = i64::from(ran_ms) * 1_000;
         let least = self.since.map_or(0, |since| sent.as_micros() as i64 - since);
@@ -75,19 +75,19 @@ impl RunTime {
         self.read_anew = (has_begun_anew && !was_known).then_some(now);
     }
 
-    /// It may say less than it has run, and nobody could know.
+    /// It may say less than it has run, and that cannot be known.
     fn may_have_begun_anew(&self, now: Instant, world: Instant) -> bool {
         !self.is_known && self.begins_anew.is_some_and(|at| at <= world)
             || self.read_anew.is_some_and(|at| now - at <= IS_TOLD)
     }
 
-    /// A restart that it shows was not told in time.
+    /// A restart that it shows was not reported in time.
     pub(crate) fn is_restart_untold(&self, now: Instant) -> bool {
         self.shown.is_some_and(|since| now - since > IS_TOLD)
     }
 }
 
-/// It is told that this motor has answered a request of a caller's.
+/// It is reported that this motor has answered a request of a caller.
 pub(super) fn note_answered(motor: MotorId, data: &Data, of: &Sending, truth: &mut Truth) {
     let (now, world) = (truth.now, truth.world);
     let is_clear = !truth.flips && truth.twin != Some(motor);
@@ -97,7 +97,7 @@ pub(super) fn note_answered(motor: MotorId, data: &Data, of: &Sending, truth: &m
         return;
     }
     let ran_ms = u32::from_le_bytes([data[4], data[5], data[6], data[7]]);
-    // One of several sendings may have been answered, and what was made up says nothing.
+    // One of several attempts may have been answered, and what was made up shows nothing.
     let is_its_own = of.taken == 1 && of.delivered == 1 && of.ignored == 0;
     let is_plain = is_clear && is_its_own && page.excuses.of((0xB1, 0), now).is_none();
     let shows = is_plain && page.restarted.is_some();
@@ -112,12 +112,12 @@ pub(super) fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
     let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
     let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
-    // A run time of 0, sent back by a drive that has ignored the question; feedback of long ago, that a bus has held
-    // back for longer than anybody expects; feedback that another station has made up, in motion mode (0) too.
+    // Other causes: a run time of 0, handed back by a drive that has ignored the question; old feedback that a bus has
+    // held back for longer than expected; feedback that another station has made up, in motion mode (0) too.
     let misleading =
         [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
     let may_seem_so = page.turning.may_seem_to_jump(now);
-    // From a place that was made up it jumps back: also where this is the jump to there.
+    // From a made-up place it jumps back. This may also be the jump to that place.
     let was_misled = page.misled.take();
     let is_there = was_misled.filter(|(_, told)| now - *told <= IS_TOLD);
     let is_misled = misleading.filter(|_| !may_have && !has).map(|excuse| (excuse, now));
@@ -129,7 +129,7 @@ pub(super) fn check_restarted(motor: MotorId, truth: &mut Truth) {
     page.set_points.restarted();
     page.turning.restarted();
     if truth.twin == Some(motor) && !may_have && !has {
-        // The run times of two drives: one may be behind the other's.
+        // The run times of two drives: one may be less than the other's.
         truth.excuse(Excuse::TwoMotorsOfOneId);
     } else if let Some(excuse) = misleading.filter(|_| !may_have && !has) {
         truth.excuse(excuse);

@@ -19,15 +19,15 @@ use super::world::Rough;
 
 const RATES: [u32; 4] = [0, 1, 10, 50];
 const MOTORS: [u8; 4] = [1, 3, 8, 32];
-/// Requests a scenario. With twelve troubles in sixteen scenarios each that is 307 200 on CAN and 57 600
-/// on RS485, whose bytes take longer to simulate.
+/// Requests in each scenario. With twelve troubles in sixteen scenarios each that is 307 200 on CAN and 57 600 on
+/// RS485, whose bytes take longer to simulate.
 const ON_CAN: u64 = 1_600;
 const ON_RS485: u64 = 300;
 /// Drawn scenarios, and requests of each: 750 000 on both buses, so that all are a million and more.
 const DRAWN_ON_CAN: u64 = 640;
 const DRAWN_ON_RS485: u64 = 110;
 const DRAWN_REQUESTS: u64 = 1_000;
-/// So many tests share them, to run side by side.
+/// This many tests share them, to run in parallel.
 const SHARES: u64 = 4;
 
 fn run<W: Rough>(scenario: Scenario) {
@@ -39,11 +39,11 @@ fn run<W: Rough>(scenario: Scenario) {
     let failed: u64 = totals.failed.values().sum();
     assert_eq!(totals.replies + totals.sent + failed, totals.requests, "{told}");
     if scenario.is_kind() {
-        // Nothing goes wrong, so nothing may be told as wrong.
+        // Nothing goes wrong, so nothing may be reported as wrong.
         let odd = failed - totals.failed(Why::Stopped);
         assert_eq!((odd, totals.unanswered), (0, 0), "{told}");
         assert_eq!((totals.unconfirmed, totals.bus_errors), (0, 0), "{told}");
-        // But a run time may begin anew that nobody has read, and then it seems that its drive has restarted.
+        // But a run time that was not read may wrap, and then its drive seems to have restarted.
         let mut excused = totals.excused.clone();
         let begun_anew = excused.remove(&Excuse::RunTimeBeganAnew).unwrap_or(0);
         assert!(begun_anew == 0 || scenario.conditions.have_run, "{told}");
@@ -122,12 +122,12 @@ fn once<W: Rough>(seed: u64) {
 
 #[test]
 fn what_once_broke() {
-    // A clock jumps, and then a motor is first heard that had answered with nothing but what looks like an
-    // echo: its silence is told once more.
+    // A clock jumps. Then a motor is first heard that had answered only with what looks like an echo: its silence is
+    // reported once more.
     once::<Rs485Line>(3573);
-    // A question to all lies in a mailbox when a stop ends it, and is handed back: it was not sent.
+    // A question to all is in a mailbox when a stop ends it, and is handed back: it was not sent.
     once::<CanBus>(10_003);
-    // Two motors of one id answer each other without end on a line: a stop does not wait for that.
+    // Two motors with one id answer each other endlessly on a line: a stop does not wait for that.
     once::<Rs485Line>(10_035);
 }
 
@@ -137,61 +137,70 @@ fn as_drawn<W: Rough>(seed: u64) {
 
 #[test]
 fn what_broke_later() {
-    // Two motors of one id answer each other every millisecond, and the clock has steps as long: it is never seen that
-    // the line is free, and still nobody waits for longer than anything may take.
+    // Two motors with one id answer each other every millisecond, and the clock has steps as long. The line is never
+    // seen free, and still nothing waits longer than its bound.
     as_drawn::<Rs485Line>(300_309);
     as_drawn::<Rs485Line>(3_004);
-    // A stop that may be under way already is called again as one of the other kind: it has all its attempts.
+    // A stop that may be in flight already is called again, now of the other kind: it has all its attempts.
     as_drawn::<Rs485Line>(9_194);
-    // What comes long after a read of the status does not answer that, and shows nothing of an echo.
+    // An answer long after a read of the status does not answer that, and shows nothing of an echo.
     as_drawn::<Rs485Line>(5_123);
-    // Nobody has looked for an hour when the loop's own question is answered.
+    // No caller has looked for an hour when the loop's own question is answered.
     as_drawn::<Rs485Line>(71_135);
-    // Noise has taken four echoes in a row, and then echoes of set-points say that these were ignored: none is lost.
+    // Noise has destroyed four echoes in a row, and then echoes of set-points say that these were ignored: none is
+    // lost.
     as_drawn::<Rs485Line>(700_335);
-    // A collision makes a frame that its drive hears: it is made up, and from where it says the motor is the next jumps.
+    // A collision makes a frame that its drive hears. The frame is made up, and from the angle that it says the next
+    // one jumps.
     as_drawn::<Rs485Line>(710_003);
     // Noise that looks like a reply in motion mode begins as if the drive had lost its master.
     as_drawn::<CanBus>(1_140);
     // A port has failed when a task was dropped, and all are told to end their motion before its next round.
     as_drawn::<CanBus>(500_942);
-    // A run time is read shortly before it begins anew, and then a silence is told as a restart: nobody knows it any more.
+    // A run time is read shortly before it wraps, and then a silence is reported as a restart: then it is not known any
+    // more.
     as_drawn::<Rs485Line>(9_002_221);
     as_drawn::<Rs485Line>(9_000_723);
     as_drawn::<Rs485Line>(9_002_613);
-    // Two motors of one id answer a stop, where earlier ones reached neither: the second answer is taken for one to all.
+    // Two motors with one id answer a stop, and earlier ones reached neither: the second answer is taken for one to
+    // all.
     as_drawn::<CanBus>(9_002_429);
-    // The feedback that a run ends with is late, and the set-point behind it is still under way: it is not counted yet.
+    // The last feedback of a run is late, and the set-point after it is still in flight: it is not counted yet.
     as_drawn::<CanBus>(9_001_529);
-    // A motor that nobody has heard is told to restart, and first heard after an hour: only then is it known to run.
+    // A motor that was never heard is told to restart, and first heard after an hour: only then is it known to run.
     as_drawn::<CanBus>(9_103_926);
-    // A move of all lies in a mailbox, and one motor is told to end its motion: that goes again behind the move.
+    // A move of all is in a mailbox, and one motor is told to end its motion: that is sent again after the move.
     as_drawn::<CanBus>(9_002_488);
-    // Nobody has looked for an hour, and a set-point whose time is up by that is handed back before that is told.
+    // No caller has looked for an hour, and a set-point whose time is up since then is handed back before that is
+    // reported.
     as_drawn::<CanBus>(9_100_934);
-    // What was to let go whom all hold is handed back when another stop goes in its place: that may be its first.
+    // A command that lets go of what all hold is handed back when another stop is sent in its place: that may be its
+    // first.
     as_drawn::<CanBus>(9_100_933);
-    // An echo that noise made pass for what a drive ignores is told behind the answer, which comes twice.
+    // An echo that noise made pass for a command that a drive ignores is reported after the answer, which comes twice.
     as_drawn::<Rs485Line>(9_101_198);
     // A collision makes an answer of another angle, whose token and check are right.
     as_drawn::<Rs485Line>(9_101_525);
     // An answer that comes twice is taken for that to a command which is handed back then.
     as_drawn::<CanBus>(9_400_910);
-    // Another station makes up a move in motion mode, behind a request that ends motion: no mailbox has held it back.
+    // Another station makes up a move in motion mode, after a request that ends motion: no mailbox has held it back.
     as_drawn::<CanBus>(9_404_136);
-    // Nothing goes wrong, and a run time that nobody has read begins anew.
+    // Nothing goes wrong, and a run time that was not read wraps.
     as_drawn::<Rs485Line>(9_402_152);
-    // Nobody looks for an hour, in which answers to a stop lie in a port: they come behind what ends the motion of all.
+    // No caller looks for an hour, in which answers to a stop wait in a port: they come after what ends the motion of
+    // all.
     as_drawn::<Rs485Line>(9_410_924);
-    // A request to hold that a stop went over is handed back: to the master it may be what had told its motor to stop.
+    // A request to hold that a stop has pushed aside is handed back: to the master it may be what had told its motor to
+    // stop.
     as_drawn::<CanBus>(9_411_783);
     // A drive that has lost its master hands back the first read in a second: that is taken for an echo, and the motor
     // is heard with its answer.
     as_drawn::<Rs485Line>(9_420_244);
-    // A stop to all waits for its line, is lifted, and all are stopped again: it was sent to nobody yet, and goes.
+    // A stop to all waits for its line and is lifted, and all are stopped again. It was not sent to any motor yet, and
+    // is sent.
     as_drawn::<Rs485Line>(9_412_258);
     // Deliberate faults that nothing else notices: an answer that is owed confirms a stop; what ends the motion of all
-    // goes no more when it is handed back; what was answered and is handed back counts as answered.
+    // is not sent again when it is handed back; what was answered and is handed back counts as answered.
     as_drawn::<CanBus>(2_706);
     as_drawn::<CanBus>(1_827);
     as_drawn::<CanBus>(3_082);
@@ -208,8 +217,8 @@ fn alone() {
     run::<Rs485Line>(Scenario::drawn::<Rs485Line>(seed, DRAWN_REQUESTS));
 }
 
-/// What a late reply leads to that the drive's wire has held back for `delay`: whether the second of
-/// two equal requests gets the first one's answer.
+/// The consequence of a late reply that the drive's wire has held back for `delay`: whether the second of two equal
+/// requests gets the first one's answer.
 fn is_fooled(delay: Duration, late_window: Duration) -> bool {
     let config = Config { late_window, ..CanBus::CONFIG };
     let mut rig = Rig::<CanBus>::with_config(1, 1, config);

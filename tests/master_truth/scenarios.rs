@@ -1,4 +1,4 @@
-//! What a run is made of: one trouble and how often it strikes, and the conditions that it is combined with.
+//! What a run consists of: one trouble and how often it strikes, and the conditions with which it is combined.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_tests::dice::Dice;
 use myactuator_tests::wire::Wire;
 
-/// What goes wrong.
+/// The troubles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Trouble {
     /// By chance, both ways.
@@ -24,8 +24,8 @@ pub(crate) enum Trouble {
     Reorder,
     /// All of the above but undetected corruption and doubled commands, at a fifth each.
     All,
-    /// By hand, for that share of the time: a drive's wire is cut, a drive is slow, a station
-    /// babbles; or that often in a hundred times, a drive's power is cycled.
+    /// By hand, for that share of the time: a drive's wire is cut, a drive is slow, a station babbles. Or that often in
+    /// a hundred times a drive's power is cycled.
     Cut,
     Slow,
     Babble,
@@ -38,17 +38,17 @@ impl Trouble {
     }
 }
 
-/// Whether the adapter hands back what is sent (RS485).
+/// Whether the adapter echoes (RS485).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Echo {
     #[default]
     None,
     Configured,
-    /// The loop has to find it out.
+    /// The loop has to find out.
     Unknown,
 }
 
-/// How much callers ask for.
+/// The load from callers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Pace {
     /// The bus is busy but never full: on a full CAN bus the replies of the highest ids wait.
@@ -70,7 +70,7 @@ pub(crate) enum Loop {
     AsyncDropped,
 }
 
-/// What a world is like; as it is made by default, it is kind.
+/// The properties of a world. The default is a kind one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Conditions {
     /// What was received is handed over every so many milliseconds.
@@ -87,7 +87,7 @@ pub(crate) struct Conditions {
     /// Any call of the port may fail.
     pub(crate) fails: bool,
     pub(crate) echo: Echo,
-    /// What becomes of an echo, and so often in a hundred times.
+    /// What happens to an echo, and how often in a hundred times.
     pub(crate) echo_trouble: Option<(Trouble, u32)>,
     /// Each switch of direction may be heard as a byte.
     pub(crate) noise: bool,
@@ -101,25 +101,25 @@ pub(crate) struct Conditions {
     pub(crate) stranger_roams: bool,
     /// Drives have run for long when the master begins, each for another time.
     pub(crate) have_run: bool,
-    /// Drives restart, by themselves and asked to, and that takes them 1.1 s.
+    /// Drives restart, on their own and on command, and that takes them 1.1 s.
     pub(crate) restarts: bool,
     /// Drives lose their master.
     pub(crate) lost_masters: bool,
-    /// Drives report by themselves, errors and what they were told to.
+    /// Drives report on their own: errors, and what they were told to.
     pub(crate) reports: bool,
     /// Drives answer twice, and to what they do not know.
     pub(crate) repeats: bool,
     pub(crate) pace: Pace,
     pub(crate) runs: Loop,
-    /// Nobody stops anything, or asks all at once.
+    /// No caller stops anything, or sends anything to all.
     pub(crate) is_plain: bool,
     /// All are told at once to end their motion, and single motors are stopped just then.
     pub(crate) ends_all: bool,
-    /// Who stops all does so again in every cycle.
+    /// A caller that stops all does so again in every cycle.
     pub(crate) stops_again: bool,
-    /// Drives do not hear what is sent to all (function 2), each by chance.
+    /// Drives do not hear commands to all (function 2), each by chance.
     pub(crate) deaf_to_all: bool,
-    /// What is cut is now and then the master's own wire, so that nobody acknowledges what lies in its mailboxes.
+    /// Now and then the master's own wire is cut, so that nothing acknowledges what is in its mailboxes.
     pub(crate) cuts_master: bool,
 }
 
@@ -142,13 +142,13 @@ impl fmt::Display for Scenario {
 }
 
 impl Scenario {
-    /// In a kind world but for this trouble.
+    /// In a kind world except for this trouble.
     pub(crate) fn of(trouble: Trouble, percent: u32, motors: u8, requests: u64) -> Self {
         let seed = trouble as u64 * 1_000_000 + u64::from(percent) * 1_000 + u64::from(motors);
         Self { trouble, percent, motors, requests, seed, conditions: Conditions::default() }
     }
 
-    /// Anything together with anything.
+    /// Any combination.
     pub(crate) fn drawn<W: Wire>(seed: u64, requests: u64) -> Self {
         let mut dice = Dice::new(seed);
         let mut one_of = |choices: &[u64]| choices[dice.below(choices.len() as u64) as usize];
@@ -194,7 +194,7 @@ impl Scenario {
         }
         let loops = [Loop::Polled, Loop::Async, Loop::AsyncDropped];
         conditions.runs = loops[one_of(&[0, 0, 1, 2]) as usize];
-        // Whatever comes to this is drawn last, so that a seed means the rest of its world for good.
+        // Additions are drawn last, so that a seed always means the same for the rest of its world.
         conditions.ends_all = one_of(&[0, 1]) == 1;
         conditions.stops_again = one_of(&[0, 0, 0, 1]) == 1;
         conditions.deaf_to_all = is_can && one_of(&[0, 0, 1]) == 1;
@@ -224,7 +224,7 @@ impl Scenario {
         self
     }
 
-    /// Nobody speaks but who is asked.
+    /// Only drives that are asked send anything.
     fn keep_the_line_to_the_master(&mut self) {
         if self.trouble.is_by_hand() {
             self.trouble = Trouble::Lose;
@@ -234,8 +234,7 @@ impl Scenario {
             (false, false, false, false, false);
     }
 
-    /// The master's configuration. Whoever expects frames to be held back for longer than usual must say
-    /// so.
+    /// The master's configuration. It has to say if frames may be held back for longer than usual.
     pub(crate) fn config<W: Wire>(&self) -> Config {
         let mut config = W::CONFIG;
         if let myactuator_protocol_core::master::Bus::Rs485 { echo, .. } = &mut config.bus {
@@ -259,7 +258,7 @@ impl Scenario {
         config
     }
 
-    /// How late frames come at the most.
+    /// The longest delay of a frame.
     fn latest<W: Wire>() -> Duration {
         Duration::from_millis(if W::NAME == "CAN" { 15 } else { 4 })
     }

@@ -1,5 +1,5 @@
-//! Each stop's first sending in time, in whatever world: as soon as the port takes it, before anything else, and
-//! that of a motor that answers before that of one that does not.
+//! The first sending of each stop is in time, in any world: as soon as the port takes it, and before anything else. The
+//! stop of a motor that answers comes before that of one that does not.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::Packet;
@@ -11,37 +11,37 @@ use super::names::Name;
 use super::to_all::SHUTDOWN;
 use super::truth::{Page, Truth};
 
-/// A refused port is offered it again after 1 ms, and whoever had an error or events to take first does not look
-/// meanwhile.
+/// A port that refused is offered the stop again after 1 ms. A caller that had an error or events to take first does
+/// not look meanwhile.
 const NEXT_OFFER: Duration = Duration::from_micros(1_500);
-/// Longer than any other reply is waited for.
+/// Longer than the time-out of any other reply.
 const ROM_TIMEOUT: Duration = Duration::from_millis(20);
-/// A motor that left so many commands in a row unanswered counts as dead.
+/// A motor that left this many commands in a row unanswered counts as dead.
 const IS_DEAD: u32 = 5;
 
-/// How well a motor answered when it was stopped, as far as that is beyond doubt.
+/// How well a motor answered when it was stopped, as far as that is certain.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Answers {
-    /// What it was asked last, and that in time.
+    /// It answered its last command, in time.
     Well,
     #[default]
     Unsure,
-    /// Nothing it was asked for a long time.
+    /// It answered nothing for a long time.
     Never,
 }
 
-/// The one stop to all that goes before each motor's own, which reaches also whom nobody knows.
+/// The one stop to all that is sent before each motor's own. It also reaches motors that are not known.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct StopToAll {
     /// It is to go.
     due: Option<StopKind>,
     /// What went last.
     went: Option<StopKind>,
-    /// All were moved at once, some of whom nobody may know.
+    /// All were moved at once, and some of them may not be known.
     were_moved: bool,
 }
 
-/// When the port is to be offered a first stop, in the world's time.
+/// When the port has to be offered a first stop, in the world's time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Offers {
     /// Within this after the last time, or after the stop was called.
@@ -53,7 +53,7 @@ impl Offers {
     pub(crate) fn new(config: &Config) -> Self {
         let within = match config.bus {
             Bus::Can => NEXT_OFFER,
-            // The exchange under way, or one with a motor that is not there.
+            // The exchange in flight, or one with a motor that is not there.
             Bus::Rs485 { turnaround, .. } => {
                 let exchange = config.reply_timeout + config.frame_time.times(2);
                 NEXT_OFFER + exchange + config.settle_time + turnaround
@@ -62,28 +62,29 @@ impl Offers {
         Self { within, since: Instant::ZERO }
     }
 
-    /// Some ask what a line waits for longer, as it does for a write to ROM: a command that no firmware knows.
+    /// Some requests have a longer time-out on a line, as a write to ROM does: a command that no firmware knows.
     pub(crate) fn unknown_commands_are_asked(&mut self) {
         self.within = self.within + ROM_TIMEOUT;
     }
 }
 
 impl Truth {
-    /// Not where a flipped bit may make an answer to the one to all: then a motor's own may wait.
+    /// Not if a flipped bit may make an answer to the stop to all: then a motor's own may wait.
     pub(super) fn is_first_stop_due(&self) -> bool {
         let waits =
             self.stop_to_all.due.is_some() || self.pages.iter().any(Page::waits_for_first_stop);
         !self.flips && waits
     }
 
-    /// A caller stops all, and has or has not lifted what was called before: whether that goes to all at once, too. Not
-    /// where it would hold whom a stop keeps off; and called again, if nobody was moved since, it rests.
+    /// A caller stops all, and may or may not have lifted an earlier stop: whether a stop is also sent to all at once.
+    /// It is not if it would hold a motor that a stop keeps off. If it is called again, and nothing was moved since, it
+    /// is not repeated.
     pub(super) fn stops_all(&mut self, kind: StopKind, is_again: bool) {
         let holds_who_is_off = kind == StopKind::Hold && !self.switched_off.is_empty();
         let known = self.known.iter().map(|motor| &self.pages[motor.index()]);
         let is_any_moved = known.clone().any(|page| !page.is_told && !page.is_stopping);
         let is_new = !is_again && (self.stop_to_all.went != Some(kind) || is_any_moved);
-        // On CAN only all at once may have moved whom nobody knows.
+        // On CAN, motors that are not known can only have been moved by a command to all.
         let is_needed = !self.stop_to_all_is_answered || self.stop_to_all.were_moved;
         if is_needed && is_new && !holds_who_is_off {
             if !self.is_first_stop_due() {
@@ -91,7 +92,7 @@ impl Truth {
             }
             self.stop_to_all.due = Some(kind);
         } else if kind == StopKind::Off {
-            // It holds nobody any more, and whoever has no place was off before.
+            // It holds no motor any more, and motors without a place were off before.
             self.stop_to_all.due.take_if(|due| *due == StopKind::Hold);
         }
     }
@@ -117,7 +118,7 @@ impl Truth {
 
     pub(super) fn answers(&mut self, motor: MotorId) -> Answers {
         let (now, window) = (self.now, self.late_window);
-        // Who has not answered one to all has missed that when its time is up.
+        // A motor that has not answered a command to all has missed it when its time is up.
         let is_asked_with_all = self.last_to_all.is_some_and(|at| now - at <= window);
         let is_in_doubt = self.flips || self.echoes || self.twin == Some(motor);
         let page = self.page(motor);
@@ -130,7 +131,7 @@ impl Truth {
         }
     }
 
-    /// The port is offered this; `None` for what goes to nobody.
+    /// The port is offered this; `None` for what goes to no motor.
     pub(crate) fn offered(&mut self, packet: Option<&Packet>) {
         if !self.is_first_stop_due() {
             return;
@@ -140,7 +141,8 @@ impl Truth {
         if took > within {
             self.breaks(format!("no first stop is tried for {took}, and not {within}"));
         }
-        // Whether there is an echo is asked of one that seems to be there: else each would be waited for in vain.
+        // Whether there is an echo is asked of a motor that seems to be there. Otherwise each would be waited for in
+        // vain.
         let asks = |packet: &Packet| shows_echo(packet) && self.doubt.is_open();
         if let Some(packet) = packet.filter(|packet| !self.is_stop(packet) && !asks(packet)) {
             self.breaks(format!("{packet:X?} goes before a first stop"));
@@ -148,7 +150,7 @@ impl Truth {
         self.offers.since = self.world;
     }
 
-    /// The port has kept what it was offered until now, or nobody has looked.
+    /// The port has held what it was offered until now, or no caller has looked.
     pub(crate) fn nobody_could_offer(&mut self) {
         self.offers.since = self.world;
     }

@@ -1,5 +1,5 @@
-//! What all are told at once, and what becomes of that where it ends motion: nothing older moves anybody behind it,
-//! and where one motor is stopped by itself before it goes, the others get it each by itself, as a stop.
+//! Commands to all, and what becomes of those that end motion. Nothing older moves a motor after one. If one motor is
+//! stopped on its own before the command is sent, the others get it separately, as a stop.
 
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
@@ -12,9 +12,9 @@ use super::truth::Truth;
 pub(super) const SHUTDOWN: u8 = 0x80;
 pub(super) const STOP: u8 = 0x81;
 
-/// How long a stop waits for what it goes over, at the longest.
+/// How long a stop waits, at the longest, for what it pushes aside.
 const STOP_TAKES: Duration = Duration::from_millis(100);
-/// A stop of which so many were sent may be over, and that not told yet.
+/// A stop of which this many were sent may be over, and that not reported yet.
 const STOP_ATTEMPTS: u32 = 15;
 
 /// The newest command to all of a caller.
@@ -23,12 +23,12 @@ pub(crate) struct ToAll {
     name: Name,
     /// How often the bus took it and did not hand it back.
     pub(crate) taken: u32,
-    /// Who was stopped since, to be held and to be off.
+    /// The motors that were stopped since, to be held and to be off.
     held: MotorSet,
     off: MotorSet,
     /// The bus may have been down while it waited, so that it was dropped.
     may_be_dropped: bool,
-    /// It is not to go to all any more: all were stopped, or each gets it by itself.
+    /// It is not to be sent to all any more: all were stopped, or each gets its own.
     is_over: bool,
 }
 
@@ -40,8 +40,8 @@ impl ToAll {
 }
 
 impl Truth {
-    /// A caller has given this to the master, for all. These have a request to be held under way, as far as the caller
-    /// knows.
+    /// A caller has given this to the master, for all. These motors have a request to be held in flight, as far as the
+    /// caller knows.
     pub(crate) fn put_to_all(&mut self, data: &Data, known: MotorSet, holding: MotorSet) {
         self.clocks.disturb(Quiet::Calm);
         let put = self.next_moment();
@@ -77,12 +77,12 @@ impl Truth {
             } else if !page.is_stopping
                 && (holding.contains(motor) || page.may_be_stopping && page.stop.byte == STOP)
             {
-                // Unless that is over, and nobody was told yet, or was dropped.
+                // Unless that is over and not reported yet, or was dropped.
                 page.may_be_stopping(Name { byte: SHUTDOWN, token: 0 }, put);
             }
         }
         if name.is_ending() {
-            // One that holds goes to nobody whom a stop keeps off.
+            // A command that holds goes to no motor that a stop keeps off.
             self.undo_nobody();
         }
     }
@@ -90,7 +90,7 @@ impl Truth {
     /// The bus has taken a command to all that is none of the master's own stops.
     pub(super) fn caller_reaches_all(&mut self, name: Name) {
         if name.byte == STOP {
-            // What was let go before is held now, and may be held again.
+            // A motor that was let go before is held now, and may be held again.
             self.pages.iter_mut().for_each(|page| page.let_go = 0);
         }
         let wrong = match &mut self.to_all {
@@ -105,16 +105,17 @@ impl Truth {
         }
     }
 
-    /// The controller has handed it back: it goes once more, or each motor gets it by itself.
+    /// The controller has handed it back: it is sent once more, or each motor gets its own.
     pub(super) fn what_all_were_told_is_back(&mut self, name: Name) {
         let Some(it) = self.to_all.as_mut().filter(|it| it.name == name) else { return };
         it.taken -= 1;
-        // Until now it waited for nothing that may drop it.
+        // So far it waited for nothing that may drop it.
         (it.may_be_dropped, it.is_over) = (false, false);
         self.undo_nobody();
     }
 
-    /// Whether what ends the motion of all was handed back, and goes once more: nothing else goes to all meanwhile.
+    /// Whether a command that ends the motion of all was handed back, and is sent once more: nothing else goes to all
+    /// meanwhile.
     pub(crate) fn all_are_told_again(&self) -> bool {
         let goes = |it: ToAll| it.taken == 0 && !it.is_over && !it.may_be_dropped;
         self.to_all.is_some_and(|it| it.name.is_ending() && goes(it))
@@ -139,7 +140,8 @@ impl Truth {
         }
     }
 
-    /// What is to end the motion of all, and was not sent, would undo a stop of one: the others get it by themselves.
+    /// A command that ends the motion of all, and was not sent, would undo a stop of one motor: the others get their
+    /// own.
     fn undo_nobody(&mut self) {
         let Some(it) = self.to_all else { return };
         let undone = match it.name.byte {
@@ -190,12 +192,12 @@ impl Truth {
             // Nothing moves it before that is over, whether it was lifted or not.
             let goes_on = page.is_stopping && page.stop.byte == byte;
             let stop = Name { byte, token: 0 };
-            // What may be under way goes on, but not as a stop of another kind.
+            // What may be in flight goes on, but not as a stop of another kind.
             let others = page.other_stops.iter();
             let is_unsure = (page.may_be_stopping || others.len() > 0)
                 && others.chain([&page.stop]).any(|other| other.byte == byte);
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
-                // Unless it is over, and nobody was told yet.
+                // Unless it is over and not reported yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
                 if page.stop.byte != byte {
                     page.other_stops.push(page.stop);
@@ -207,7 +209,7 @@ impl Truth {
         }
     }
 
-    /// What was to hold this motor is over, since all are let go: it is to be off, by a stop of its own.
+    /// The stop that was to hold this motor is over, since all are let go: it is to be off, by a stop of its own.
     pub(crate) fn is_let_go(&mut self, motor: MotorId) {
         let (was_due, now, world) = (self.is_first_stop_due(), self.now, self.world);
         let steady = self.clocks.steady;
@@ -223,7 +225,7 @@ impl Truth {
         }
     }
 
-    /// A motor is told by this to stop, and has not been; or it has, and is told again before that was lifted.
+    /// This tells a motor to stop that was not told; or it was, and is told again before that was lifted.
     fn begin_stop(&mut self, motor: MotorId, stop: Name, is_again: bool) {
         if !self.is_first_stop_due() {
             self.offers.since = self.world;
@@ -238,7 +240,7 @@ impl Truth {
         }
         page.other_stops.clear();
         page.stop_before = page.is_stopping.then_some(page.stop);
-        // What may be under way already may go on in its place, with the attempts that it has left.
+        // What may be in flight already may go on in its place, with the attempts that it has left.
         page.is_begun_anew = page.may_be_stopping;
         let goes_on = page.may_be_stopping && page.stop.byte == stop.byte;
         let taken = if goes_on { page.stops_taken } else { 0 };
