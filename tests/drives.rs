@@ -1,4 +1,4 @@
-//! The simulated drive: its motor, what it answers and does, alone and in a fleet.
+//! The simulated drive: its motor, its answers and its actions, alone and in a fleet.
 
 mod drives {
     mod backlash;

@@ -1,4 +1,4 @@
-//! What lies on the wires: the frames, their fields and the manual's examples.
+//! The bytes on the wires: the frames, their fields and the manual's examples.
 
 mod frames {
     mod any_bytes;

@@ -1,12 +1,13 @@
-//! Every interleaving of what callers do and what a bus does to it, on CAN and on a line, with one and with two
-//! motors, up to a number of calls, of faults and of steps: what must hold of the master holds in every state.
-//! Each search has an alphabet of its own, since all calls together would be too many.
+//! Searches every interleaving of what callers do and what a bus does, on CAN and on a line, with one and with two
+//! motors, up to a number of calls, faults and steps. What must hold of the master has to hold in every state. Each
+//! search has its own alphabet, since all calls together would be too many.
 //!
-//! The engine is cloned and tried on, breadth first, against the model of `world`. `callers` says what callers do,
-//! `state` what may happen, `oracle` what must hold. In `echoes` it is the loop over RS485 that is cloned, with an
-//! adapter. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints how many states there were; with
-//! `--ignored` it goes further, which takes ten minutes. `longer` draws longer runs of the same by chance, and `calls`
-//! any calls at all; what fails is shrunk.
+//! The master is cloned and run, breadth first, against the model of `world`. `callers` has what callers do, `state`
+//! what may happen, `oracle` what must hold. In `echoes` the loop over RS485 is cloned, with an adapter. `longer` draws
+//! longer runs of the same at random, and `calls` any calls at all, and shrinks those that fail.
+//!
+//! `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints how many states there were. With
+//! `--ignored` it searches further, which takes ten minutes.
 
 mod interleavings {
     pub(crate) mod callers;
@@ -46,7 +47,7 @@ const ONE: Bounds = Bounds {
     depth: 60,
 };
 
-/// Two motors: what one may do to the other.
+/// Two motors: how one may affect the other.
 const TWO: Bounds = Bounds {
     name: "reads, motion mode, stops",
     medium: Medium::Can,
@@ -65,7 +66,7 @@ const TWO: Bounds = Bounds {
     depth: 60,
 };
 
-/// Commands to all, which may move what is stopped, and end what moves.
+/// Commands to all, which may move a motor that is stopped, and end motion.
 const ALL: Bounds = Bounds {
     name: "commands to all",
     medium: Medium::Can,
@@ -106,7 +107,7 @@ const KINDS: Bounds = Bounds {
     depth: 60,
 };
 
-/// A stop of one, and a command to all after it that stops in the other way.
+/// A stop of one, and after it a command to all that stops in the other way.
 const ENDS: Bounds = Bounds {
     name: "stops of one and of all",
     calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::ShutdownAll],
@@ -124,7 +125,7 @@ const LIFTS: Bounds = Bounds {
     ..KINDS
 };
 
-/// What lies in mailboxes while the bus is cut.
+/// Frames in mailboxes while the bus is cut.
 const CUT: Bounds = Bounds {
     name: "a bus that is cut",
     medium: Medium::CanThatIsCut,

@@ -1,4 +1,4 @@
-//! The master against simulated drives. What takes long is a program of its own, `master_truth`.
+//! The master against simulated drives. The program `master_truth` has the long runs.
 
 mod masters {
     mod application;

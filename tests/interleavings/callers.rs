@@ -1,4 +1,4 @@
-//! What callers do, and what that means for the oracle.
+//! What callers do, and what follows for the oracle.
 
 use myactuator_protocol_core::command::{
     IncrementalPosition, RawMotion, ReadMultiTurnAngle, Shutdown, Stop, Torque,
@@ -30,15 +30,15 @@ pub(crate) enum Call {
     Broadcast,
     TorqueAll,
     ShutdownAll,
-    /// To all, and nobody is expected to answer.
+    /// To all, without expected answers.
     ShutdownAllUnheard,
     HoldAll,
-    /// Who runs the master says that the bus carries nothing, while it is cut.
+    /// The loop reports that the bus carries nothing, while it is cut.
     BusDown,
 }
 
 impl<const N: usize> State<N> {
-    /// Makes this call. `false`: nothing came of it.
+    /// Makes this call. Returns `false` if it had no effect.
     pub(super) fn call(&mut self, call: Call) -> bool {
         if self.calls_left == 0 {
             return false;
@@ -80,7 +80,7 @@ impl<const N: usize> State<N> {
                 let is_put = self.master.stop_all(kind, known).is_ok();
                 known.iter().for_each(|motor: MotorId| self.stops(motor.index(), kind));
                 if kind == StopKind::Off {
-                    // Also who has no place yet.
+                    // Motors without a place, too.
                     self.world.truth.iter_mut().for_each(|truth| truth.is_off = true);
                 }
                 (self.world.stops_all, self.world.stop_all_call) = (true, number);
@@ -110,7 +110,7 @@ impl<const N: usize> State<N> {
             }
             Call::ShutdownAll => self.end_all(with_token(Shutdown, token), Self::all()),
             Call::ShutdownAllUnheard => {
-                // For the answers of whoever has no place the next command to all does not wait.
+                // The next command to all does not wait for the answers of motors without a place.
                 let is_known = self.master.motors() == Self::all();
                 is_known && self.end_all(with_token(Shutdown, token), MotorSet::EMPTY)
             }
@@ -156,7 +156,7 @@ impl<const N: usize> State<N> {
             let truth = &mut self.world.truth[motor];
             truth.all_call = number;
             if is_put && kind == StopKind::Off {
-                // A hold that is under way becomes one, too.
+                // A hold in flight becomes one, too.
                 truth.stop_kind = Some(kind);
             }
             self.ends_motion(motor, kind);
@@ -169,14 +169,14 @@ impl<const N: usize> State<N> {
         let truth = &mut self.world.truth[motor];
         truth.last_stop = self.world.calls;
         truth.is_wanted_sent = false;
-        // Whether a command to hold is newer than a stop that is in force and has switched it off, the manual does
-        // not say: the caller wants both.
+        // The manual does not say which of these counts: a stop in force that has switched the motor off, or a newer
+        // command to hold. The caller wants both.
         truth.wants = Some(kind).filter(|_| !truth.is_off || kind == StopKind::Off);
         true
     }
 
-    /// A stop like the one that is under way changes nothing, for nothing moves before that is over, though it was lifted.
-    /// Once off a motor stays so.
+    /// A stop like the one in flight changes nothing. Nothing moves before that is over, even if it was lifted. A motor
+    /// that was switched off stays off.
     fn stops(&mut self, motor: usize, kind: StopKind) {
         let number = self.world.calls;
         let truth = &mut self.world.truth[motor];

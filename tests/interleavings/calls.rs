@@ -1,12 +1,12 @@
-//! Calls by chance, in any order and at any time, with frames that make sense and frames that make none:
-//! whatever callers and a bus do, some things hold.
+//! Random calls, in any order and at any time, with frames that make sense and frames that do not. Whatever callers and
+//! a bus do, these hold:
 //!
 //! - Nothing panics.
 //! - While a motor is stopped, nothing is offered to it that could move it.
 //! - Each ticket ends once, and at the latest some time after the last call.
-//! - Nothing that moves a motor is offered to one that has restarted, before somebody resumes it.
-//! - What `poll_transmit` offers, it offers again until it was taken.
-//! - Nothing happens by itself before `poll_at`.
+//! - Nothing that moves a motor is offered to one that has restarted before a caller resumes it.
+//! - What `poll_transmit` offers, it offers again until it is taken.
+//! - Nothing happens on its own before `poll_at`.
 //! - No more is counted as answered or lost than was asked.
 
 use std::collections::HashSet;
@@ -34,7 +34,7 @@ use super::oracle::check_poll_at;
 
 /// Fewer than the motors that are asked.
 const PLACES: usize = 3;
-/// All that is under way is over by then: restarts, repeats, and what is late.
+/// All that is in flight is over by then: restarts, retries, and late answers.
 const LONGEST_END: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug)]
@@ -136,7 +136,7 @@ fn call() -> impl Strategy<Value = Call> {
     ]
 }
 
-/// The master, and what is true of it.
+/// The master, and what is known of it.
 struct Model {
     master: Master<PLACES>,
     is_rs485: bool,
@@ -145,7 +145,7 @@ struct Model {
     ended: HashSet<TicketId>,
     stops_all: bool,
     stopped: MotorSet,
-    /// These were told to have restarted, and nobody has said that they may go on.
+    /// Motors whose restart was reported, and that no caller has resumed.
     restarted: MotorSet,
     /// What the bus took, the last first.
     sent: Vec<Packet>,
@@ -159,13 +159,13 @@ fn set_of(bits: u8) -> MotorSet {
     chosen.filter_map(|(_, id)| MotorId::new(id).ok()).collect()
 }
 
-/// What the manual lets move a motor.
+/// Commands that may move a motor, by the manual.
 fn moves(packet: &Packet) -> bool {
     const BYTES: [u8; 6] = [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9];
     matches!(packet.channel, Channel::Motion(_)) || BYTES.contains(&packet.data[0])
 }
 
-/// Or let its load fall, and a restart.
+/// Commands that may let its load fall, and a restart.
 fn is_dangerous(packet: &Packet) -> bool {
     moves(packet) || matches!(packet.data[0], 0x76 | 0x77)
 }
@@ -214,7 +214,7 @@ impl Model {
                 self.stopped.remove(motor);
             }
             Call::Resume(motor) => {
-                // Of a restart that nobody was told of, nobody knows where the motor is.
+                // If a restart was not reported, it is not known where the motor is.
                 self.poll_events()?;
                 self.master.resume(motor);
                 self.restarted.remove(motor);
@@ -329,7 +329,7 @@ impl Model {
     }
 
     fn broadcast(&mut self, asked: Asked, expected: MotorSet) {
-        // Refused or not, what it does shows in what is offered.
+        // Whether it is refused or not, its effect shows in what is offered.
         let _ = match asked {
             Asked::Angle => self.master.broadcast(ReadMultiTurnAngle, expected),
             Asked::Pid(index) => {
@@ -350,7 +350,7 @@ impl Model {
         let has_open = self.open.iter().any(|open| open.motor() == motor);
         if self.master.forget(motor) {
             prop_assert!(!has_open, "a motor is forgotten whose request is open");
-            // It may be among the silent ones of a command to all yet.
+            // It may still be one of the silent motors of a command to all.
             self.restarted.remove(motor);
         }
         Ok(())
@@ -436,7 +436,7 @@ impl Model {
         Ok(())
     }
 
-    /// Nobody answers any more: everything ends, but a stop that is in force.
+    /// Nothing answers any more: everything ends, except a stop in force.
     fn end(&mut self) -> Result<(), TestCaseError> {
         self.master.lift_stop();
         let end = self.now + LONGEST_END;

@@ -1,11 +1,10 @@
-//! When two states are the same: a number that equal ones share, whenever and after however many
-//! requests they come.
+//! When two states are the same: a number that equal states share, at any time and after any number of requests.
 //!
-//! It is made of the engine's `Debug` text, so that no field can be forgotten. Times count from now,
-//! the rounds of the motors from the master's, and what only counts, names or is asked by callers is left out:
-//! health, tickets, whether the newest set-point was dropped and by when a drive has started. What is left out of it can
-//! only change what is told, except for when a motor was heard last, which matters after a second, and by when it has
-//! started, which matters where its run time is read: nothing here does either.
+//! It is made from the master's `Debug` text, so that no field can be forgotten. Times count from now, and the rounds
+//! of the motors from the master's. Left out is what only counts, names, or is asked by callers: health, tickets,
+//! whether the newest set-point was dropped, and by when a drive has started. What is left out can only change what is
+//! reported, with two exceptions that do not occur here: when a motor was heard last, which matters after a second, and
+//! by when it has started, which matters if its run time is read.
 
 use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
@@ -13,14 +12,14 @@ use std::hash::{BuildHasher, Hash, Hasher};
 use foldhash::quality::{FixedState, FoldHasher};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-/// How long ago something was, beyond this, makes no difference; only of a sending it does.
+/// Beyond this it makes no difference how long ago something was, except for a sent frame.
 const PAST: Duration = Duration::from_millis(1);
-/// Nor beyond this, if it was a sending.
+/// The same for a sent frame.
 const LONG_AGO: Duration = Duration::from_millis(4);
-/// Nor beyond this, if it was a sending that may come back.
+/// The same for a sent frame that may come back.
 const NO_ECHO: Duration = Duration::from_millis(101);
 
-/// The number of a state, of a master or of a loop that runs one; `hash_world` adds what else it has.
+/// The number of a state, of a master or of a loop that runs one. `hash_world` adds the rest of the state.
 pub(crate) fn number(
     master: &impl Debug,
     now: Instant,
@@ -35,9 +34,9 @@ pub(crate) fn number(
     sink.hasher.finish()
 }
 
-/// A time as it is seen from now.
+/// A time relative to now.
 pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
-    // What the engine calls "not" and "never".
+    // What the master uses for "not" and "never".
     if at == Instant::ZERO {
         return i64::MIN;
     }
@@ -49,12 +48,12 @@ pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
     ahead - behind
 }
 
-/// What the number after this field's name means.
+/// The meaning of the number after this field's name.
 #[derive(Clone, Copy, PartialEq)]
 enum Field {
     Plain,
     Sent,
-    /// A sending that may come back.
+    /// A sent frame that may come back.
     MayEcho,
     Round,
     Pace,
@@ -62,15 +61,15 @@ enum Field {
     Ignored,
 }
 
-/// Takes the pieces in which `Debug` is written, a name, a sign or a number each. If they came in
-/// another way, fewer states would be found equal, and no wrong ones.
+/// Takes the pieces in which `Debug` writes: a name, a sign or a number each. If they came differently, fewer states
+/// would be found equal, but none wrongly.
 struct Sink {
     hasher: FoldHasher<'static>,
     now: Instant,
     field: Field,
     is_instant: bool,
     last_word: Field,
-    /// Inside a struct that is left out: how deep.
+    /// Depth inside a struct that is left out.
     depth_left_out: usize,
     leaves_out: bool,
     pace: u32,
@@ -150,7 +149,7 @@ impl Write for Sink {
                     "pace" => Field::Pace,
                     "misses" => Field::Misses,
                     "ticket" | "last_ticket" | "is_newest_dropped" | "started_by" => Field::Ignored,
-                    // Bytes that were looked at, or are no frame.
+                    // Bytes that were processed, or are no frame.
                     "chunk" | "next" | "end" | "held" | "garbled" => Field::Ignored,
                     _ => Field::Plain,
                 };

@@ -1,10 +1,12 @@
-//! Every interleaving of a line and its adapter: the loop over RS485 is cloned and tried on, with a master of two motors,
-//! a direction pin and whatever it knows of echoes.
+//! Searches every interleaving of a line and its adapter. The loop over RS485 is cloned and run, with a master of two
+//! motors, a direction pin and all that it knows of echoes.
 //!
-//! The adapter echoes or does not, and the loop was told or not. What came over the line is handed over in its order, at
-//! once or later, so that an echo comes by itself or in one burst with the answer. All that is sent here is
-//! acknowledged by its own bytes, but for the status. What must hold is that no echo passes for an answer, and that no
-//! answer of a motor that is well passes for an echo so often that the motor counts as silent.
+//! The adapter echoes or does not, and the loop was configured for that or not. What came over the line is handed over
+//! in order, at once or later, so that an echo comes alone or in one burst with the answer. Every command here, except
+//! the read of the status, is acknowledged by its own bytes. Two things must hold:
+//!
+//! - No echo passes for an answer.
+//! - No answer of a motor that works passes for an echo so often that the motor counts as silent.
 
 mod adapters;
 mod line;
@@ -31,11 +33,11 @@ use port::{End, Lent, NoDelay, Pin, Port};
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
 /// The program is halted for longer than any echo is waited for.
 const HALT: Duration = Duration::from_millis(150);
-/// The longest that anything takes in a world that is well, whatever was before.
+/// The longest that anything takes in a world without faults, whatever was before.
 const LONGEST_WAIT: Duration = Duration::from_millis(200);
-/// So many rounds in a row find something to do.
+/// This many rounds in a row may find something to do.
 const MOST_ROUNDS: usize = 20;
-/// So many bytes the port takes of a frame before it fails.
+/// How many bytes of a frame the port takes before it fails.
 const CUT_AT: usize = 7;
 
 /// What a caller does, to the motor with this index.
@@ -52,23 +54,23 @@ pub(super) enum Call {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
-    /// What is sent next reaches nobody.
+    /// The next frame that is sent reaches no drive.
     Deaf,
-    /// Of what is sent next the port takes the beginning, and fails.
+    /// The port takes the beginning of the next frame, and fails.
     CutShort,
-    /// What the adapter has next is lost.
+    /// The next bytes of the adapter are lost.
     Lose,
-    /// It is no frame any more.
+    /// They are no frame any more.
     Harm,
     /// An answer comes twice.
     Double,
     /// Something comes late.
     Late,
-    /// What has arrived is lost in the port, which says so.
+    /// What has arrived is lost in the port, and the port reports that.
     ReadFails,
-    /// The program is halted, and all has come meanwhile.
+    /// The program is halted, and everything has come meanwhile.
     Halt,
-    /// As that, but the adapter has the echoes yet; answers are lost.
+    /// The same, but the adapter still has the echoes; answers are lost.
     HaltAndHold,
     LoseMaster(u8),
 }
@@ -76,16 +78,16 @@ pub(super) enum Fault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
     Call(Call),
-    /// The loop looks at the port until there is nothing to do, and sends.
+    /// The loop polls the port until there is nothing to do, and sends.
     Poll,
-    /// The adapter hands over what is next.
+    /// The adapter hands over the next bytes.
     Arrive,
     /// Time passes, up to what happens next.
     Wait,
     Fault(Fault),
 }
 
-/// An adapter, who is there, what callers do, and which faults may be.
+/// An adapter, the motors that are there, what callers do, and which faults may occur.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Adapter {
     pub(super) name: &'static str,
@@ -99,10 +101,10 @@ pub(super) struct Adapter {
     pub(super) depth: usize,
 }
 
-/// What is true of one motor.
+/// What is known of one motor.
 #[derive(Clone, Copy, Debug, Default, Hash)]
 struct Truth {
-    /// The command byte of a request whose outcome is to come.
+    /// The command byte of a request without an outcome so far.
     open: Option<u8>,
     /// A stop was called for that is neither confirmed nor given up.
     is_stopping: bool,
@@ -120,15 +122,15 @@ pub(super) struct State {
     tickets: [Option<TicketId>; 2],
     calls_left: u8,
     faults_left: u8,
-    /// The loop has looked at all that has come.
+    /// The loop has processed everything that has come.
     is_polled: bool,
     steps: Vec<Step>,
 }
 
 fn config(is_told: bool) -> Config {
     let bus = Bus::Rs485 { turnaround: Duration::ZERO, echo: is_told };
-    // As on any line: nothing but its bytes and its place tells an echo from an answer. What is sent three times is
-    // answered though one of them goes wrong, and an echo that is missing takes the answer of another.
+    // On any line, only its bytes and its place distinguish an echo from an answer. A command that is sent three times
+    // is answered even if one attempt goes wrong, and a missing echo takes another's answer.
     Config { bus, attempts: 3, shortest_response: Duration::ZERO, ..world::config(Medium::Line) }
 }
 
@@ -194,15 +196,15 @@ impl State {
         true
     }
 
-    /// A stop that is under way goes on.
+    /// A stop in flight goes on.
     fn stops(&mut self, motor: MotorId) {
         if !std::mem::replace(&mut self.truth[motor.index()].is_stopping, true) {
             self.line.drive_of(motor).look_for(0x81);
         }
     }
 
-    /// The loop looks until there is nothing to do. Of what it sends first this is heard. Gives whether it sent
-    /// anything.
+    /// Runs the loop until there is nothing to do. `is_heard` says whether the first thing that it sends is heard.
+    /// Returns whether it sent anything.
     fn poll(&mut self, is_heard: bool) -> Result<bool, Broken> {
         self.is_polled = true;
         let mut has_sent = false;
@@ -293,7 +295,7 @@ impl State {
         open.ok_or_else(|| "an outcome of a request that is not open".into())
     }
 
-    /// When something happens next, if the loop has looked at all that has come.
+    /// When something happens next, if the loop has processed everything that has come.
     fn next_moment(&mut self) -> Result<Instant, Broken> {
         let now = self.end.now;
         self.end.lend(|| self.arm.idle(now + LONGEST_IDLE));
@@ -405,7 +407,7 @@ impl Searched for State {
         })
     }
 
-    /// Once no call and no fault is left, everything comes to its end.
+    /// Once no call and no fault is left, everything comes to an end.
     fn check(&self) -> Result<(), Broken> {
         let is_last = matches!(self.steps.last(), Some(Step::Call(_) | Step::Fault(_)));
         let is_over = (self.calls_left, self.faults_left) == (0, 0);

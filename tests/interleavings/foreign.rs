@@ -1,5 +1,5 @@
-//! What other masters do on the same bus, as this one hears it: on a line also what they ask, which looks like an
-//! answer.
+//! What other masters do on the same bus, as this master hears it. On a line it also hears their commands, which look
+//! like answers.
 
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::{Channel, Data, Packet, Target};
@@ -8,14 +8,15 @@ use super::search::Broken;
 use super::state::State;
 use super::world::{Medium, motor_at};
 
-/// What this master never asks for.
+/// A command that this master never sends.
 const READ: Data = [0x60, 0, 0, 0, 0, 0, 0, 0];
 const VALUES: Data = [0x60, 1, 0, 0, 0xEE, 0, 0, 0];
-/// What it asks for, but not that motor.
+/// A command that it sends, but not to that motor.
 const OF_THEIRS: Data = [0x92, 1, 0, 0, 0xEE, 0, 0, 0];
 
 impl<const N: usize> State<N> {
-    /// Another master asks a motor of ours and one of its own, and both answer. On a line it waits until that is free.
+    /// Another master asks one of our motors and one of its own, and both answer. On a line it waits until that is
+    /// free.
     pub(super) fn foreign(&mut self) -> Result<bool, Broken> {
         if self.world.medium == Medium::Line && !self.world.replies.is_empty() {
             return Ok(false);
@@ -28,8 +29,8 @@ impl<const N: usize> State<N> {
         Ok(!self.world.is_cut())
     }
 
-    /// On a line that is free: another master stops a motor of ours, which answers before anybody else speaks, unless it
-    /// has not heard it.
+    /// On a free line another master stops one of our motors. The motor answers before anything else is sent, unless it
+    /// has not heard the stop.
     pub(super) fn foreign_stop(&mut self, kind: StopKind, is_heard: bool) -> Result<bool, Broken> {
         let world = &mut self.world;
         let is_free = world.replies.is_empty() && !self.master.is_anything_in_flight();

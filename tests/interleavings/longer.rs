@@ -1,4 +1,4 @@
-//! Longer runs than the search reaches, by chance: the same steps, the same world and the same oracle.
+//! Random runs, longer than the search reaches, with the same steps, the same world and the same oracle.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -11,11 +11,11 @@ use super::state::{Bounds, State, Step};
 /// Calls of one run: the model has a bit for each.
 const CALLS: u8 = 30;
 const FAULTS: u8 = 12;
-/// Without anything heard for so long, a motor may have restarted: the model knows nothing of that.
+/// After this long without anything heard, a motor may have restarted, which the model does not have.
 const LONGEST_RUN: Duration = Duration::from_millis(900);
 
-/// What the next step is drawn from; the search draws from all alike, which would be hardly anything but
-/// calls and faults here.
+/// The sort of steps from which the next one is drawn. The search treats all steps alike; here that would draw hardly
+/// anything but calls and faults.
 #[derive(Clone, Copy, Debug)]
 enum Sort {
     Call,

@@ -1,4 +1,4 @@
-//! The search: breadth first, so that the shortest way to what must not be is found.
+//! The search: breadth first, so that it finds the shortest way to a violation.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::{Write as _, stderr};
@@ -6,35 +6,35 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// What must hold and did not.
+/// A violation.
 pub(crate) type Broken = String;
 
-/// What is searched: the code that is looked at, the world around it, and how they came to this.
+/// A state of the search: the code under test, the world around it, and how they came to this.
 pub(crate) trait Searched: Clone + Send + Sync {
     type Step: Copy + std::fmt::Debug + Send;
 
-    /// All that may happen next; some of it turns out not to be possible.
+    /// All steps that may come next. Some of them turn out to be impossible.
     fn possible(&self) -> Vec<Self::Step>;
 
-    /// Lets this happen. `Ok(false)`: it cannot.
+    /// Takes this step. `Ok(false)` if it is impossible.
     fn step(&mut self, step: Self::Step) -> Result<bool, Broken>;
 
     /// What has happened.
     fn steps(&self) -> &[Self::Step];
 
-    /// That of all states which are the same.
+    /// A number that equal states share.
     fn number(&self) -> u64;
 
-    /// What must hold of a state that was not seen before.
+    /// Checks a state that was not seen before.
     fn check(&self) -> Result<(), Broken>;
 
-    /// In a world that is well from now on everything must come to its end.
+    /// Checks that everything comes to its end in a world without faults from now on.
     fn check_end(&self) -> Result<(), Broken>;
 }
 
 const SHARDS: usize = 64;
 const THREADS: usize = 2;
-/// A thread takes so many states at a time.
+/// A thread takes this many states at a time.
 const CHUNK: usize = 256;
 
 /// The numbers of the states that were seen.
@@ -50,10 +50,10 @@ impl Seen {
     }
 }
 
-/// What was found, each with the shortest way to it.
+/// The violations found, each with the shortest way to it.
 type Found<S> = BTreeMap<Broken, Vec<<S as Searched>::Step>>;
 
-/// Searches all states that this one leads to in so many steps, and fails with what it finds first.
+/// Searches all states that this one leads to within this many steps, and fails with the first violation.
 pub(crate) fn search<S: Searched>(name: &str, start: S, most_steps: usize) {
     let begun = Instant::now();
     let seen = Seen::new();
@@ -71,7 +71,7 @@ pub(crate) fn search<S: Searched>(name: &str, start: S, most_steps: usize) {
     }
     let found = found.into_inner().unwrap();
     let whole = if level.is_empty() { "all there are" } else { "bounded" };
-    // Past what the test program keeps to itself, so that every run of the tests shows it.
+    // Directly to the error output, so that every run of the tests shows it.
     let _ = writeln!(
         stderr(),
         "{name}, depth {depth} ({whole}), {states} states, {:.1} s",
@@ -121,7 +121,7 @@ fn follow<S: Searched>(
         let result = match after.step(step) {
             Ok(true) if seen.insert(after.number()) => {
                 let result = after.check();
-                // What hangs, hangs until the end of the search: to look there is enough.
+                // A hang lasts until the end of the search, so checking there is enough.
                 if is_deepest { result.and_then(|()| after.check_end()) } else { result }
             }
             Ok(true) => {

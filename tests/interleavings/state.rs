@@ -1,4 +1,4 @@
-//! One state: the engine and its world, and what can happen next. `oracle` says what must hold whatever does.
+//! One state: the master and its world, and what can happen next. `oracle` checks what must hold in any case.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ use super::oracle::check_poll_at;
 use super::search::{Broken, Searched};
 use super::world::{self, Medium, World, motor_at, motor_of, moves, urgency};
 
-/// What happens next. The numbers are indices of motors or of frames on their way.
+/// The next step. The numbers are indices of motors or of frames on their way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     Call(Call),
@@ -24,7 +24,7 @@ pub(crate) enum Step {
     Take,
     /// It takes it and hands this frame back, which is less urgent.
     TakeForAnother(u8),
-    /// The drives hear a command; not the first in the row, if it is more urgent than those before.
+    /// The drives hear a command. If it is more urgent than those before it, it need not be the first.
     Hear(u8),
     HearTwice(u8),
     LoseCommand(u8),
@@ -33,20 +33,20 @@ pub(crate) enum Step {
     ReplyTwice(u8),
     LoseReply(u8),
     LoseMaster(u8),
-    /// Another master asks a motor of ours and one of its own, and both answer.
+    /// Another master asks one of our motors and one of its own, and both answer.
     Foreign,
     /// On a line: another master stops motor 1, which hears it or not.
     ForeignStop(StopKind, bool),
-    /// On a line: it takes what the master offers, and nobody has kept the echo of that from the master.
+    /// On a line: it takes what the master offers, and the master gets the echo of that.
     TakeAndEcho,
-    /// On a line: it takes what the master offers, and nobody hears it.
+    /// On a line: it takes what the master offers, and no drive hears it.
     TakeAndLose,
     /// The bus is cut: what is on its way to the drives stays there.
     Cut,
     Mend,
     /// A millisecond passes.
     Tick,
-    /// The time comes that `poll_at` gave.
+    /// The time of `poll_at` comes.
     Sleep,
 }
 
@@ -57,13 +57,13 @@ pub(crate) struct State<const N: usize> {
     pub(crate) world: World,
     /// What callers do.
     calls: &'static [Call],
-    /// So many calls may still be made.
+    /// How many calls may still be made.
     pub(super) calls_left: u8,
     /// How it came to be.
     pub(crate) steps: Vec<Step>,
 }
 
-/// A world that is well comes to rest in so many steps.
+/// A world without faults comes to rest in this many steps.
 const MOST_STEPS: usize = 300;
 
 /// How far a search goes.
@@ -73,7 +73,7 @@ pub(crate) struct Bounds {
     pub(crate) medium: Medium,
     /// What callers do.
     pub(crate) calls: &'static [Call],
-    /// So many of it in one run.
+    /// How much of it in one run.
     pub(crate) most_calls: u8,
     pub(crate) faults: u8,
     pub(crate) depth: usize,
@@ -156,7 +156,7 @@ impl<const N: usize> Searched for State<N> {
         self.master.handle_timeout(self.world.now);
         self.poll_events()?;
         let is_done = self.of_bus(step)?;
-        // Whoever has received looks at the time, too.
+        // After it has received, the loop reads the time, too.
         self.master.handle_timeout(self.world.now);
         Ok(is_done)
     }
@@ -199,7 +199,7 @@ impl<const N: usize> Searched for State<N> {
 }
 
 impl<const N: usize> State<N> {
-    /// Lets this happen on the bus.
+    /// Takes this step on the bus.
     fn of_bus(&mut self, step: Step) -> Result<bool, Broken> {
         match step {
             Step::Call(_) | Step::CallBeforeEvents(_) => Ok(false),

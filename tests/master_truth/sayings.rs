@@ -131,13 +131,13 @@ pub(super) fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) 
     let data = reply.encode();
     let packet = Packet { channel: Channel::Reply(motor), data };
     let reports = &truth.pages[motor.index()].reports;
-    // A broadcast is answered by motors that nobody expects to, too; and errors are told also where they come late.
+    // Motors that are not expected to also answer a broadcast. And errors are reported even if they come late.
     let has_errors = data[0] == 0x9A && data[6..] != [0, 0];
     let may_come = |it: &Sending| it.heard > 0 && (it.put == 0 || has_errors);
     let is_unexpected =
         truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(may_come);
     let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)
-        // Of an error the voltage comes back, and not all bits of the flags.
+        // Of an error, the voltage comes back, and not all bits of the flags.
         || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);
     if !is_report && !truth.flips {
         excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} by itself"));

@@ -1,5 +1,5 @@
-//! What really happened: what callers asked, what the bus took, what drives heard and sent, and what
-//! came back. Frames are told apart by the token that each carries.
+//! What really happened: what callers asked, what the bus took, what drives heard and sent, and what came back. Frames
+//! are distinguished by their tokens.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,10 +20,10 @@ use super::turning::Turning;
 
 /// In byte 3 of a reply with values: the command was executed, and not only sent back.
 pub(crate) const DONE: u8 = 0xD0;
-/// A motor that was silent for so long may have restarted.
+/// A motor that was silent for this long may have restarted.
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
-/// A bus that takes nothing for so long carries nothing.
+/// A bus that takes nothing for this long carries nothing.
 const STUCK_AFTER: Duration = Duration::from_millis(5);
 
 /// What became of one command.
@@ -34,21 +34,21 @@ pub(crate) struct Sending {
     /// How often the bus took it and did not hand it back.
     pub(crate) taken: u32,
     pub(crate) last_taken: Instant,
-    /// It was handed back when its time may have been up, which may not have been told yet.
+    /// It was handed back when its time may have been up, and that may not have been reported yet.
     pub(crate) was_lost_and_back: bool,
-    /// How often it reached a drive, and how often that ignored it.
+    /// How often it reached a drive, and how often that drive ignored it.
     pub(crate) heard: u32,
     pub(crate) ignored: u32,
-    /// How often it did since the bus took it last: stops are all of one name.
+    /// How often it did since the bus took it last: stops all have the same name.
     pub(super) heard_since: u32,
     /// How often a reply to it reached the master.
     pub(crate) delivered: u32,
-    /// What was sent last was answered, and in time whatever the master takes for the longest.
+    /// The last attempt was answered, and in time even by the master's longest bound.
     pub(crate) was_answered: bool,
 }
 
 impl Sending {
-    /// Nobody has given it to the master, nor has the bus taken it.
+    /// No caller has given it to the master, nor has the bus taken it.
     pub(super) fn was_never_put(&self) -> bool {
         self.put == 0 && self.taken == 0
     }
@@ -60,14 +60,14 @@ pub(crate) struct Page {
     pub(crate) sendings: HashMap<Name, Sending>,
     /// Commands with a reply that the bus took.
     pub(crate) asking: u64,
-    /// So many of these were handed back when their time may have been up: that counts as no loss, and may be told.
+    /// How many of these were handed back when their time may have been up: that is no loss, but may be reported.
     pub(crate) lost_and_back: u64,
-    /// And so many when another master had been answered meanwhile, or an answer come twice, which may have passed for
-    /// theirs.
+    /// And how many when another master had been answered meanwhile, or an answer had come twice, which may have passed
+    /// for theirs.
     pub(crate) answered_and_back: u64,
     /// When such an answer last came, of each question.
     pub(super) strangers_answered_at: HashMap<Question, Instant>,
-    /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
+    /// When the last of these was, and how many in a row were, with nothing heard of the motor since.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
     /// When the loop last asked it for what shows an echo.
@@ -84,29 +84,30 @@ pub(crate) struct Page {
     pub(super) answers: Answers,
     /// The stop is neither confirmed nor given up.
     pub(crate) is_stopping: bool,
-    /// It may be, as of then: where what was to end the motion of all may have been dropped meanwhile.
+    /// It may be, since then: what was to end the motion of all may have been dropped meanwhile.
     pub(crate) may_be_stopping: bool,
-    /// It was told that the stop is not confirmed, which goes on while that is in force.
+    /// It was reported that the stop is not confirmed; the stop goes on while it is in force.
     pub(crate) was_given_up: bool,
     pub(crate) may_be_stopping_since: u64,
-    /// What it must have heard since to have stopped so: since the first call, where others follow before that is lifted.
+    /// What it must have heard since to have stopped so: since the first call, if others follow before that is lifted.
     pub(super) stop_due_since: u64,
-    /// What stops it; and what may do so all the same, where that may have been dropped.
+    /// What stops it, and what may stop it nevertheless, if that may have been dropped.
     pub(crate) stop: Name,
     pub(super) other_stops: Vec<Name>,
-    /// What stopped it before, if that was under way: a controller may hand that back yet.
+    /// What stopped it before, if that was in flight: a controller may still hand it back.
     pub(super) stop_before: Option<Name>,
     /// It has heard the stop to all, an answer to which confirms it.
     pub(super) is_told_with_all: bool,
-    /// The bus has taken a stop of it, and nothing since that a stop refuses: each other's first goes before one more.
+    /// The bus has taken a stop of it, and nothing since that a stop refuses. The first stop of each other motor goes
+    /// before its next.
     pub(super) is_told: bool,
-    /// So many has it taken since then.
+    /// How many it has taken since then.
     pub(super) tellings: u32,
-    /// One of these was handed back, and another stop is to follow: for all that the master knows, that one was it.
+    /// One of these was handed back, and another stop is to follow: for all that the master knows, it was that one.
     pub(super) may_be_untold: bool,
     /// So it was when this stop was called.
     pub(super) was_told: bool,
-    /// It may have been begun anew, so that nobody knows which of its sendings is the first.
+    /// It may have begun anew, so it is not known which attempt is the first.
     pub(super) is_begun_anew: bool,
     /// When it was called, in steady time.
     pub(super) stopping_since: Duration,
@@ -119,30 +120,30 @@ pub(crate) struct Page {
     pub(crate) stop_heard: u64,
     /// When the newest of the commands that end motion was put, of those that the bus took.
     pub(super) ended: u64,
-    /// As that, of those that went to it alone or as a stop; and of those that a drive heard.
+    /// The same for commands that went to it alone or as a stop; and for those that a drive heard.
     pub(super) ended_alone: u64,
     pub(super) ended_heard: u64,
-    /// When a caller's request was put that ends motion, of which no outcome is told yet.
+    /// When a caller's request that ends motion was put, whose outcome was not reported yet.
     pub(super) ends: Option<u64>,
-    /// A move came behind that, out of a mailbox: then.
+    /// A move came after that, out of a mailbox: when.
     pub(super) moved_behind: u64,
-    /// When a caller told all last to end their motion, and when to do so by letting go.
+    /// When a caller last told all to end their motion, and when to do so by switching off.
     pub(super) ended_with_all: u64,
     pub(super) let_go: u64,
     /// When it heard each of the commands that end motion last.
     pub(super) endings_heard: HashMap<u8, u64>,
-    /// When it last restarted, and when that was told.
+    /// When it last restarted, and when that was reported.
     pub(crate) restarted: Option<u64>,
     /// The master has told it to restart, and not reported that.
     pub(crate) was_reset: bool,
     pub(crate) awaits_resume: bool,
-    /// A restart was told that was none, or a place where it was not, for this reason, and no other since.
+    /// A restart was reported that was none, or a wrong place, for this reason, and no other since.
     pub(super) misled: Option<(Excuse, Instant)>,
     pub(crate) turning: Turning,
     pub(crate) run_time: RunTime,
-    /// How often the master has heard that it has lost it.
+    /// How often the master has heard that the motor has lost it.
     pub(crate) lost_master_delivered: u32,
-    /// It has said so, and none of that has reached the master.
+    /// It has said so, and none of these messages has reached the master.
     pub(crate) lost_master_untold: bool,
     /// As far as the master has heard, it ignores the next command.
     pub(crate) ignores_next: bool,
@@ -151,7 +152,7 @@ pub(crate) struct Page {
     pub(crate) said: HashSet<Data>,
     /// When the master last heard of it.
     pub(crate) delivered_at: Option<Instant>,
-    /// The longest that the master had not heard of it, since it was told to have restarted.
+    /// The longest time without hearing of it, since its restart was reported.
     pub(crate) longest_silence: Duration,
     pub(crate) excuses: Excuses,
 }
@@ -160,12 +161,12 @@ pub(crate) struct Page {
 #[derive(Debug)]
 pub(crate) struct Truth {
     pub(crate) pages: Vec<Page>,
-    /// Counts what happens, so that earlier and later are told apart.
+    /// Counts what happens, so that earlier and later are distinguished.
     moment: u64,
     pub(crate) now: Instant,
-    /// As that, in the world's time.
+    /// The same in the world's time.
     pub(super) world: Instant,
-    /// What the master's clock is ahead of the world's, and its steps.
+    /// How far the master's clock is ahead of the world's, and its steps.
     pub(crate) clock_ahead: Duration,
     pub(crate) clock_step: Duration,
     pub(crate) late_window: Duration,
@@ -179,25 +180,24 @@ pub(crate) struct Truth {
     pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
-    /// It has failed, and a task that was dropped then may have kept that for its next round: what is put before that
-    /// may be dropped in it.
+    /// It has failed, and a task that was dropped then may have kept the failure for its next round. What is put before
+    /// that may be dropped in it.
     pub(super) failure_is_kept: bool,
     pub(super) clocks: Clocks,
-    /// When the bus last did not take what it was given though it had place, and when it took anything; in the world's
-    /// time.
+    /// When the bus last did not take a frame although it had room, and when it took anything; in the world's time.
     bus_failed_at: Option<Instant>,
     pub(super) bus_took_at: Instant,
     /// When something was last sent to all.
     pub(super) last_to_all: Option<Instant>,
-    /// What a caller has told all last.
+    /// The last command of a caller to all.
     pub(crate) to_all: Option<ToAll>,
     /// The motors that have a place.
     pub(super) known: MotorSet,
-    /// Who is to be off until that is lifted.
+    /// Motors that are to be off until that is lifted.
     pub(super) switched_off: MotorSet,
-    /// So many got by themselves what was to end the motion of all.
+    /// How many got their own command in place of one that was to end the motion of all.
     pub(crate) turned: u64,
-    /// An answer to the stop to all is one to a motor's own: not on a line.
+    /// An answer to the stop to all counts for a motor's own stop: not on a line.
     pub(super) stop_to_all_is_answered: bool,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
@@ -205,19 +205,19 @@ pub(crate) struct Truth {
     pub(super) doubt: Doubt,
     /// Two motors have this id.
     pub(crate) twin: Option<MotorId>,
-    /// Each motor's first stop comes within this, if anything can be said of it.
+    /// Each motor's first stop comes within this, if a bound can be given.
     pub(crate) first_stops_within: Option<Duration>,
     /// Flipped bits pass the CRC, so that no token can be trusted.
     pub(crate) flips: bool,
-    /// The wire itself puts frames in another order, which no real one does: what then comes after a
-    /// command that ends motion may be older.
+    /// The wire itself changes the order of frames, which no real one does. What then comes after a command that ends
+    /// motion may be older.
     pub(crate) reorders: bool,
-    /// What must not be, and is.
+    /// What was found broken.
     pub(crate) broken: Vec<String>,
     pub(crate) excused: HashMap<Excuse, u64>,
 }
 
-/// A hand on the truth.
+/// A handle of the truth.
 #[derive(Clone, Debug)]
 pub(crate) struct Book(Arc<Mutex<Truth>>);
 
@@ -276,7 +276,7 @@ impl Page {
         self.is_stopping && !is_told
     }
 
-    /// It is stopped by this, unless that was dropped.
+    /// This stops it, unless that was dropped.
     pub(super) fn may_be_stopping(&mut self, stop: Name, since: u64) {
         if self.is_stopping {
             self.is_begun_anew = true;
@@ -298,7 +298,7 @@ impl Truth {
         self.moment
     }
 
-    /// It is this late in the world: what the master's clock shows.
+    /// Takes the world's time, and returns what the master's clock shows.
     pub(crate) fn tick(&mut self, world: Instant) -> Instant {
         self.world = world;
         let exact = (world + self.clock_ahead).as_micros();
@@ -343,7 +343,8 @@ impl Truth {
         }
     }
 
-    /// Whether this is a stop of the master's own, or what ends the motion of all and goes to each by itself.
+    /// Whether this is a stop of the master's own, or a command that ends the motion of all and goes to each motor
+    /// separately.
     pub(super) fn is_stop(&self, packet: &Packet) -> bool {
         let name = Name::of(packet);
         let is_turned = |page: &Page| {
@@ -353,7 +354,7 @@ impl Truth {
             || matches!(packet.channel, Channel::Command(Target::Motor(motor)) if is_turned(&self.pages[motor.index()]))
     }
 
-    /// What a doubled frame of this motor is called.
+    /// The name for a doubled frame of this motor.
     pub(crate) fn doubled(&self, motor: MotorId) -> Excuse {
         if self.twin == Some(motor) { Excuse::TwoMotorsOfOneId } else { Excuse::Doubled }
     }
@@ -379,26 +380,26 @@ impl Truth {
         self.doubt.port_has_failed();
     }
 
-    /// It has failed in what it was to receive.
+    /// It has failed in receiving.
     pub(crate) fn receiving_has_failed(&mut self) {
         self.port_has_failed();
         self.bus_has_failed();
         self.failure_is_kept = true;
     }
 
-    /// The loop has told of a failure: it keeps none.
+    /// The loop has reported a failure: it keeps none.
     pub(crate) fn failure_is_told(&mut self) {
         self.failure_is_kept = false;
     }
 
-    /// The port is full: that says something of the bus only if it goes on for long.
+    /// The port is full. That says something of the bus only if it lasts.
     pub(crate) fn port_is_full(&mut self) {
         if self.world - self.bus_took_at > STUCK_AFTER {
             self.bus_has_failed();
         }
     }
 
-    /// The port has an error, or takes nothing though it has place.
+    /// The port has an error, or takes nothing although it has room.
     pub(crate) fn bus_has_failed(&mut self) {
         self.bus_failed_at = Some(self.world);
         self.clocks.disturb(Quiet::None);

@@ -1,11 +1,11 @@
-//! Shafts that turn, drives that lose their turns, and what shows of that in the feedback of a stream.
+//! Shafts that turn, drives that lose their turns, and what shows that in the feedback of a stream.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::dice::Dice;
 
 /// No motor is faster.
 const FASTEST_DPS: i64 = 10_000;
-/// Within so much an angle may be one turn or another.
+/// Within this margin an angle may be one turn or another.
 const HALF_A_TURN: i64 = 180;
 
 /// A shaft that turns evenly.
@@ -29,7 +29,7 @@ impl Shaft {
         self.began_at + self.speed_dps * (now - self.began).as_micros() as i64 / 1_000_000
     }
 
-    /// As feedback has it.
+    /// The angle in feedback.
     pub(crate) fn angle(&self, now: Instant) -> i16 {
         self.degrees(now) as i16
     }
@@ -45,22 +45,22 @@ impl Shaft {
     }
 }
 
-/// What the feedback of a stream has told of where a motor is.
+/// What the feedback of a stream has shown of where a motor is.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Turning {
-    /// The last angle that was measured just before it was told.
+    /// The last angle that was reported right after it was measured.
     last: Option<(i16, Instant)>,
-    /// It has jumped then, and no restart was told yet.
+    /// It jumped then, and no restart was reported yet.
     jumped: Option<Instant>,
-    /// Until then feedback may be that to an earlier set-point, which was given up. Whose own feedback then comes
-    /// may be taken for that to the next, so that this goes on for as long as the stream does.
+    /// Until then feedback may be that to an earlier set-point, which was given up. If its own feedback then comes, it
+    /// may be taken for that to the next set-point. So this lasts for as long as the stream.
     in_doubt_until: Instant,
     /// Its shaft turns by more than half a turn while a reply may be late.
     pub(crate) is_fast: bool,
 }
 
 impl Turning {
-    /// An angle is told; whether that was measured just before is certain or not.
+    /// An angle is reported. It may or may not be certain that it was measured just before.
     pub(crate) fn told(&mut self, angle: i16, is_certain: bool, now: Instant, window: Duration) {
         let is_in_doubt = now <= self.in_doubt_until;
         if is_in_doubt {
@@ -79,7 +79,7 @@ impl Turning {
         }
     }
 
-    /// Its next angle says nothing: something else was told of it.
+    /// Its next angle shows nothing, since something else was reported of it.
     pub(crate) fn is_unknown(&mut self) {
         self.last = None;
     }
@@ -88,12 +88,12 @@ impl Turning {
         (self.last, self.jumped) = (None, None);
     }
 
-    /// A set-point was given up, or a stop went over it.
+    /// A set-point was given up, or pushed aside by a stop.
     pub(crate) fn was_given_up(&mut self, until: Instant) {
         self.in_doubt_until = self.in_doubt_until.max(until);
     }
 
-    /// What is told of it is not where it is now, by so much that this may seem a jump.
+    /// Its reported angle differs from where it is now by so much that this may seem a jump.
     pub(crate) fn may_seem_to_jump(&self, now: Instant) -> bool {
         self.is_fast && now <= self.in_doubt_until
     }
@@ -103,7 +103,7 @@ impl Turning {
         self.jumped.is_some()
     }
 
-    /// A restart that shows by a jump of the angle has not been told for so long.
+    /// A restart that shows by a jump of the angle has not been reported for this long.
     pub(crate) fn is_restart_untold(&self, now: Instant, within: Duration) -> bool {
         self.jumped.is_some_and(|since| now - since > within)
     }

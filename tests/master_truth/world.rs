@@ -1,5 +1,5 @@
-//! A world that is not kind: adapters that deliver in bursts, controllers that refuse, fail and hand back,
-//! coarse clocks, echoes, and drives as they are.
+//! A hostile world: adapters that deliver in bursts, controllers that refuse, fail and hand back, coarse clocks,
+//! echoes, and drives like real ones.
 
 mod tasks;
 
@@ -28,11 +28,11 @@ use super::hosts::Host;
 use super::scenarios::{Echo, Loop, Scenario};
 use super::truth::Book;
 
-/// Noise at each switch of direction, where there is any.
+/// Noise at each switch of direction, if there is any.
 const SWITCH_NOISE: f32 = 0.2;
-/// A controller that refuses does so for up to this: longer than counts as a dead bus.
+/// How long a controller that refuses does so, at the longest: longer than a bus needs to count as dead.
 const LONGEST_REFUSAL_US: u64 = 30_000;
-/// One call in so many begins that, or fails.
+/// One call in this many begins that, or fails.
 const SELDOM: u64 = 2_000;
 
 /// What a port of this world can fail with.
@@ -80,7 +80,7 @@ struct Manner {
 }
 
 impl Manner {
-    /// When what has come now is handed over.
+    /// When what has come by now is handed over.
     fn delivery(&self, now: Instant) -> Instant {
         match self.burst.as_micros() {
             0 => now,
@@ -106,7 +106,7 @@ impl Manner {
     }
 }
 
-/// The manner of a port and its clock.
+/// How a port and its clock behave.
 type Shared = Arc<Mutex<Manner>>;
 
 fn with<T>(manner: &Shared, work: impl FnOnce(&mut Manner) -> T) -> T {
@@ -141,7 +141,7 @@ impl<W: Wire> Clock for RoughClock<W> {
     }
 }
 
-/// A CAN port with manners, which notes what passes it.
+/// A CAN port that behaves like this, and notes what passes it.
 #[derive(Debug)]
 pub(crate) struct RoughCan {
     port: CanPort,
@@ -231,7 +231,7 @@ impl nb::Can for RoughCan {
     }
 }
 
-/// A serial port with manners, which notes what passes it.
+/// A serial port that behaves like this, and notes what passes it.
 #[derive(Debug)]
 pub(crate) struct RoughSerial {
     port: SerialPort,
@@ -260,7 +260,7 @@ impl RoughSerial {
         Err(error)
     }
 
-    /// What it takes of this: now and then a part.
+    /// How much it takes of this: sometimes only a part.
     fn part_of<'a>(&mut self, buf: &'a [u8]) -> Result<&'a [u8], RoughError> {
         self.fails()?;
         let is_part = with(&self.manner, |manner| manner.refuses && manner.dice.below(8) == 0);
@@ -274,7 +274,7 @@ impl RoughSerial {
         truth.offered(frame_of(buf).as_ref());
     }
 
-    /// A frame counts as taken with its first byte, whatever becomes of the others.
+    /// A frame counts as taken with its first byte, whatever happens to the others.
     fn note_taken(&self, buf: &[u8]) {
         if let Some(packet) = frame_of(buf) {
             let mut truth = self.book.open();
@@ -426,7 +426,7 @@ impl Rough for Rs485Line {
     }
 }
 
-/// A bus with a master, drives and whoever else is there.
+/// A bus with a master, drives and other stations.
 pub(crate) struct Stage<W: Rough> {
     pub(crate) world: World<W>,
     pub(crate) host: Host<W>,

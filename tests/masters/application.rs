@@ -51,7 +51,7 @@ on_both_buses! {
     a_motor_that_cannot_go_the_whole_way_is_not_moved
 }
 
-/// How the motors of a bus are moved.
+/// The movement of a bus's motors.
 trait Moved: Wire {
     fn setup() -> Setup;
 }
@@ -172,7 +172,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
         self.run_for(millis(2));
     }
 
-    /// What is told from now on.
+    /// What is reported from now on.
     fn forget(&mut self) {
         self.panel.reports.clear();
     }
@@ -189,7 +189,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
         self.bus.drives.iter().any(|drive| speed_dps(drive).abs() > 1.0)
     }
 
-    /// Nothing turns now nor in the next second, and nothing starts by itself.
+    /// Nothing turns now or in the next second, and nothing starts on its own.
     #[track_caller]
     fn stays_stopped(&mut self) {
         self.run_for(millis(1_100));
@@ -269,7 +269,7 @@ fn motors_are_named_and_reach_both_ends<B: Moved>() {
     });
     let (cycles, overruns, slowest, lost) = last.expect("six seconds");
     assert!((4_990..=6_010).contains(&cycles), "{cycles}");
-    // Four motors share one line or bus: the questions of the rounds take their part of it.
+    // Four motors share one line or bus, and the questions of the rounds take a part of it.
     assert!((180..=1_010).contains(&slowest), "{slowest}");
     let seconds = told_by(&firmware, |report| matches!(report, Report::Second { .. }));
     assert!((5..=6).contains(&seconds), "{seconds}");
@@ -336,7 +336,7 @@ fn a_motor_with_an_error_stops_all<B: Moved>() {
     let trouble = Trouble::Errors { motor: id(4), flags };
     firmware.run_until(Report::Trouble(trouble), millis(300));
     firmware.stays_stopped();
-    // As long as it has the error, it does not run.
+    // While it has the error, it does not run.
     firmware.forget();
     firmware.press(millis(50));
     firmware.run_until(Report::Trouble(trouble), millis(1_000));
@@ -392,7 +392,7 @@ fn a_long_press_shuts_down<B: Moved>() {
     assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
 
-/// Whether it is missed by a question that comes soon, or only because its set-points are not answered.
+/// Whether a question that comes soon shows that it is missing, or only its unanswered set-points.
 fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
     let missed_after = (0..8).map(|index| {
         let bus = B::drives(&Fleet::new(8)).unwrap();
@@ -456,7 +456,7 @@ fn a_press_while_stopping_starts_nothing<B: Moved>() {
     unplug(&bus, &bus.drives[2]);
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
     firmware.forget();
-    // Somebody sees it and hits the button, too.
+    // A person sees it and presses the button, too.
     firmware.panel.is_button_down = true;
     firmware.run_until(Report::State(StateName::Stopped), millis(1_100));
     firmware.panel.is_button_down = false;
@@ -557,7 +557,7 @@ fn a_firmware_that_has_restarted_keeps_its_motors_holding<B: Moved>() {
     }
 }
 
-/// What no simulated bus brings about by itself is told to the application directly.
+/// What no simulated bus causes on its own is reported to the application directly.
 fn whatever_is_wrong_while_motors_run_stops_them<B: Moved>() {
     let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
     let hot = Status1 {
@@ -600,7 +600,7 @@ fn a_late_cycle_is_counted_and_does_not_feed_the_watchdog<B: Moved>() {
         let now = due + Duration::from_micros(late_us);
         app.begin_cycle(&mut Moment { now, master: runner.master(), board: panel });
         assert_eq!(panel.fed - before, fed, "{late_us} us late");
-        // The one after begins a cycle later, however late this one was.
+        // The next one begins a cycle later, however late this one was.
         let next = if fed == 1 { due } else { now } + millis(1);
         assert_eq!(app.next_cycle(), next);
     }

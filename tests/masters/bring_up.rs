@@ -1,4 +1,4 @@
-//! First contact and safe ways of working against whole simulated drives, on both buses.
+//! First contact and safe ways of working, with whole simulated drives, on both buses.
 
 use std::fmt::Debug;
 
@@ -79,7 +79,7 @@ fn a_scan_tells_who_is_there<W: Wire>() {
     told.sort_unstable();
     let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
     assert_eq!(told, expected, "each is told of once");
-    // So that a stop of all reaches them. The places of those that are not there are free again.
+    // So that a stop of all reaches them. The places of ids without a motor are free again.
     assert_eq!(runner.master().motors(), ids(1..=5));
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
     assert_eq!(runner.master().motors(), ids(1..=5));
@@ -228,7 +228,7 @@ fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
     assert!(state(drive).output_on, "a load would fall");
     assert_eq!(bring_up::change_id(runner, id(1), id(9)), stopped());
     assert!(state(drive).output_on, "a load would fall");
-    // What changes nothing is no affair of the stop.
+    // A call that changes nothing is not refused while a stop is in force.
     assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
     runner.master().lift_stop();
     assert!(bring_up::zero_here(runner, id(1)).is_ok());
@@ -251,7 +251,7 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
         assert!(state(drive).output_on, "its shaft would run on");
     }
     assert_eq!(settings(), before, "nothing was written");
-    // What changes nothing needs no motor that stands.
+    // A call that changes nothing does not need a motor that stands.
     assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
     assert!(runner.stop(id(1), StopKind::Hold));
     listen(runner, millis(500));
@@ -267,7 +267,7 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
     assert!([MotorSet::EMPTY, ids([1])].contains(&found), "{found:?}");
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     let refused = bring_up::change_id(runner, id(1), id(9));
-    // On a line both speak at once, so that nobody is understood.
+    // On a line both send at the same time, and neither is understood.
     let none = Err(BringUpError::NotThere(id(1)));
     assert!(refused == Err(BringUpError::IdShared(id(1))) || refused == none, "{refused:?}");
     for drive in &bus.drives {
@@ -276,17 +276,17 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
 }
 
 fn a_motor_that_answers_late_is_one_motor<W: Wire>() {
-    // Later than the master waits before it asks again: both questions are answered then.
+    // Later than the master's time-out: both attempts are answered then.
     let late = millis(30);
     let bus = W::drives(&Fleet::new(1).response(late, late)).unwrap();
     assert_eq!(bring_up::is_shared(&mut master(&bus), id(1)), Ok(false));
 }
 
-/// So many motors with id 1 that stall, and report it every 100 ms.
+/// This many motors with id 1 that stall, and report it every 100 ms.
 fn stalled<W: Wire>(motors: u8) -> BusFleet<W> {
     let bus = W::drives(&Fleet::new(motors).all_with_id(id(1))).unwrap();
     let runner = &mut master(&bus);
-    // On a line nobody understands what two of them answer.
+    // On a line the answers of two of them are not understood.
     let _ = runner.ask(id(1), FunctionControl::ErrorReporting(Switch::On));
     for drive in &bus.drives {
         drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -313,7 +313,7 @@ fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
     }
 }
 
-/// Each report looks like a second answer until they are ended, of which the other master hears nothing.
+/// Each report looks like a second answer until they are ended. The other master does not notice that.
 #[test]
 fn a_motor_that_another_master_has_report_looks_like_two() {
     let bus = Fleet::new(1).on_can(1_000_000).unwrap();
@@ -327,7 +327,7 @@ fn a_motor_that_another_master_has_report_looks_like_two() {
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     report(Switch::Off, runner);
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(false));
-    // What this master has had it report itself it does not ask for.
+    // This master does not ask for what it has told the motor to report.
     report(Switch::On, runner);
     let reported = RequestError::Reported(Opcode::ReadStatus2);
     assert_eq!(bring_up::is_shared(runner, id(1)), Err(CallError::refused(id(1))(reported)));
@@ -385,7 +385,7 @@ fn a_brake_opens_under_a_protection_that_is_shorter<W: Wire>() {
     assert_eq!(state(&bus.drives[0]).brake, BrakeCommand::RELEASE);
 }
 
-/// A program that is started anew finds it so: the protection is kept, and nobody has spoken for a while.
+/// A program that is started again finds this: the protection is kept, and the motor has heard nothing for a while.
 fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -408,7 +408,7 @@ fn no_brake_is_opened_behind_which_nothing_would_hold<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::LOCK);
 }
 
-/// And comes to rest behind its brake: it is lifted, held and put down again.
+/// And comes to rest with its brake: it is lifted, held and put down again.
 fn a_load_stays_where_it_is<W: Wire>() {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -456,7 +456,7 @@ fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
     assert_eq!(settings(), before, "nothing was written");
 }
 
-/// A stop in force refuses that the brake is opened again.
+/// While a stop is in force, opening the brake again is refused.
 fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
     let bus = lifting::<W>();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -468,7 +468,7 @@ fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
     assert!(!told.to_string().contains("holds"), "{told}");
 }
 
-/// Nobody opens the brake again.
+/// The brake stays locked.
 fn what_slips_only_when_the_motor_is_off_is_told<W: Wire>() {
     for slips in [false, true] {
         let bus = lifting::<W>();
@@ -545,7 +545,7 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
         listen(runner, millis(50));
         assert!(state(drive).output_on, "commands come in time");
     }
-    // What no command can read back: it stops when nobody speaks.
+    // No command reads it back: it stops when it hears nothing.
     listen(runner, millis(180));
     assert!(!state(drive).output_on);
     assert!(state(drive).communication_lost);
@@ -557,8 +557,8 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
     assert!(state(drive).output_on);
 }
 
-/// Has this done to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 goes out. Gives what comes of it, and
-/// how often motor 1 has restarted.
+/// Does this to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 is sent. Returns the outcome, and how
+/// often motor 1 has restarted.
 fn with_first_restart_lost<W: Wire, T>(work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
     with_first_restart_lost_by::<W, T>(Quirks::default(), 2_000, work)
 }
@@ -597,7 +597,7 @@ fn with_first_restart_lost_by<W: Wire, T>(
     }
 }
 
-/// The first 0x76 is lost: the motor goes on as it was, which answers, too.
+/// The first 0x76 is lost: the motor goes on running, and answers.
 fn a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one<W: Wire>() {
     let restart = |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1));
     let (told, restarts) = with_first_restart_lost::<W, _>(restart);
@@ -642,7 +642,7 @@ fn starts_with(byte: u8, record: &trace::Record<SimpleFrame>) -> bool {
     matches!(can::decode(frame), can::Received::Packet(packet) if packet.data[0] == byte)
 }
 
-/// It was refused what moves it since its turns may be lost, and nobody has seen where it is since.
+/// Moves were refused because its turns may be lost, and its angle was not read since.
 #[test]
 fn a_restart_that_was_never_heard_lifts_nothing() {
     let mut cuts: Vec<u64> = Vec::new();

@@ -1,5 +1,5 @@
-//! A line with motors that are not there any more: each command to one keeps it for as long as a reply is waited
-//! for, and a stop is to reach the others all the same.
+//! A line with motors that are gone: each command to one occupies it for a whole time-out, and a stop still has to
+//! reach the others.
 
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
@@ -14,9 +14,9 @@ const MOTORS: u8 = 16;
 /// What goes wrong on a line that streams to 16 motors, before all of them are told to hold.
 #[derive(Clone, Copy, Debug)]
 struct Case {
-    /// So many, those with the lowest ids, are cut off.
+    /// This many, those with the lowest ids, are cut off.
     dead: u8,
-    /// They are for half a second, so that they were missed; else the stop comes at once.
+    /// They are cut off for half a second, so that they were missed; otherwise the stop comes at once.
     are_known: bool,
     /// The last motor was switched off by a stop, so that none may go to all: that would switch it on.
     is_one_off: bool,
@@ -49,7 +49,7 @@ fn last_first_stop(case: Case) -> Duration {
     rig.ledger.pages().iter_mut().for_each(|page| page.heard.first_stop = None);
     let start = rig.world.now();
     assert_eq!(rig.runner.stop_all(StopKind::Hold, MotorSet::EMPTY), dead, "{case:?}");
-    // Who was switched off was told long ago, and goes last.
+    // A motor that was switched off was told long ago, and is last.
     let is_told = |motor| case.is_one_off && motor == id(MOTORS);
     let living = rig.motors().filter(|&motor| !dead.contains(motor) && !is_told(motor));
     let heard = living.map(|motor| rig.ledger.page(motor).heard.first_stop.expect("it was told"));
@@ -65,7 +65,7 @@ const SILENCE: Duration = Duration::from_micros(131 + 5_262 + 100);
 
 #[test]
 fn a_stop_of_all_reaches_every_living_motor_before_any_dead_one_is_waited_for() {
-    // What is under way is waited for, and then one stop goes to all.
+    // The exchange in flight ends, and then one stop goes to all.
     let bound = SILENCE + FRAME;
     for dead in [0, 8, 12] {
         for are_known in [true, false] {
@@ -83,7 +83,7 @@ fn where_no_stop_may_go_to_all_the_living_that_are_known_to_be_come_first() {
         let case = Case { dead, are_known: true, is_one_off: true };
         let took = last_first_stop(case);
         assert!(took <= living, "{case:?}: {took}");
-        // Of those that have died just now nobody knows: each is waited for once.
+        // It is not known yet which motors have just died: each is waited for once.
         let case = Case { dead, are_known: false, is_one_off: true };
         let took = last_first_stop(case);
         assert!(took <= living + SILENCE.times(u32::from(dead)), "{case:?}: {took}");

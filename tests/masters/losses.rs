@@ -1,5 +1,5 @@
-//! Every loss is counted: what the master's health and events tell is what the wire and the drives
-//! know, frame by frame.
+//! Every loss is counted: what the master's health and events report is what the wire and the drives know, frame by
+//! frame.
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
@@ -18,11 +18,11 @@ struct Case {
     percent: u32,
     motors: u8,
     attempts: u8,
-    /// Whether wires are cut, a drive's after another's, instead of losing frames by chance.
+    /// Whether wires are cut, one drive after another, instead of losing frames by chance.
     cuts: bool,
 }
 
-/// What the events told of one motor.
+/// What the events reported of one motor.
 #[derive(Clone, Copy, Debug, Default)]
 struct Told {
     replies: u64,
@@ -45,7 +45,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
     let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
     for round in 0..ROUNDS {
         if case.cuts {
-            // So many rounds in a hundred without a wire.
+            // This many rounds in a hundred without a wire.
             let node = rig.nodes[(round / 100) as usize % rig.nodes.len()];
             if round % 100 == 0 {
                 rig.world.cut(node);
@@ -59,7 +59,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         for &motor in &motors {
             let asked = rig.runner.master().request_with(motor, angle(round), patience);
             let _ticket = asked.expect("nothing is under way");
-            // Whoever was cut off for a second may have restarted.
+            // A motor that was cut off for a second may have restarted.
             let mut put = rig.put(motor, round + 1);
             if put == Err(RequestError::Restarted) {
                 rig.runner.master().resume(motor);
@@ -93,7 +93,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }
-                // Whoever was cut off for a second may have.
+                // A motor that was cut off for a second may have.
                 Some(Event::Restarted { motor }) => rig.runner.master().resume(motor),
                 Some(other) => panic!("{other:?} in {case:?}"),
                 None if open > 0 || broadcast || rig.runner.master().is_anything_in_flight() => {
@@ -112,7 +112,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         // What really happened: commands that were on the wire, replies that got through.
         let got_through = page.replied - page.replies_lost;
         let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
-        // Where several frames in a row are lost the bus looks quiet, and feedback that waits for it late.
+        // If several frames in a row are lost, the bus looks quiet, and feedback that waits for it seems late.
         let late = got_through - u64::from(health.answered);
         let most_late = if case.percent > 0 { got_through / 100 } else { 0 };
         assert!(late <= most_late, "{what}");

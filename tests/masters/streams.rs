@@ -76,7 +76,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     let mut rig = Rig::<CanBus>::new(8, 3);
     rig.put_all(1);
     rig.run_for(millis(20));
-    // Nobody acknowledges. The stream goes on, and a move and a read are asked for.
+    // Nothing acknowledges. The stream goes on, and a move and a read are asked for.
     rig.world.cut(rig.port);
     let mut events = Vec::new();
     for number in 2..200 {
@@ -100,8 +100,8 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     rig.world.mend(rig.port);
     rig.run_for(millis(200));
     let after = sent(&rig.ledger);
-    // What the controller had taken before it was full it sends: nobody but its driver can take that
-    // back. The master adds nothing.
+    // The controller sends what it had taken before it was full: only its driver can take that back. The master adds
+    // nothing.
     let queue = ControllerConfig::SOCKETCAN.transmit_queue as u64;
     assert!(after - before <= queue, "{} set-points came after the bus was mended", after - before);
     for motor in rig.motors() {
@@ -112,7 +112,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     }
 }
 
-/// How many feedbacks each of eight motors gives in a second of streams at 500 Hz with reads beside.
+/// How many feedbacks each of eight motors sends in a second of streams at 500 Hz together with reads.
 fn rates(silent: bool) -> Vec<u64> {
     let mut rig = Rig::<CanBus>::new(8, 9);
     if silent {
@@ -159,8 +159,8 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     rig.ledger.pages().iter_mut().for_each(|page| page.sent.first_stop = None);
     let unconfirmed = rig.runner.stop_all(kind, MotorSet::EMPTY);
     let took = rig.runner.now() - begun;
-    // 15 attempts of 21 ms, and what a set-point may still be on its way, once more behind each attempt that was not
-    // answered then: every second at the most. On RS485 one motor after another.
+    // 15 attempts of 21 ms. A set-point may still be on its way, so the stop is sent once more after each attempt that
+    // was not answered then, at most every second. On RS485 one motor after another.
     let longest = if W::NAME == "CAN" { 330 + 8 * 62 } else { 8 * 15 * 7 + 10 };
     assert!(took <= millis(longest), "{}: {took} for all to stop", W::NAME);
     for motor in rig.motors() {
@@ -171,7 +171,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
         let first = page.sent.first_stop.expect("each is told at least once");
         assert!(page.sent.last_motion < Some(first), "{told} was moved after its stop");
         if W::NAME == "CAN" {
-            // Ten frames of the controller's queue and eight stops at the most are ahead.
+            // At most ten frames of the controller's queue and eight stops come first.
             assert!(first - begun < Duration::from_micros(18 * 135), "{told} waited");
         }
         // And nothing moves it until the stop is lifted.
@@ -191,8 +191,8 @@ fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
             missed += stop_under_loss::<Rs485Line>(kind, seed);
         }
     }
-    // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. Whom something sent
-    // before may move yet needs two that work, and another two where the bus may have been cut between them. On a line
-    // nobody confirms it before four answers have shown that there is no echo.
+    // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. A motor that something
+    // sent before may still move needs two that work, and another two if the bus may have been cut between them. On a
+    // line no motor confirms it before four answers have shown that there is no echo.
     assert!((1..=1_300).contains(&missed), "{missed} of 25,600 not reached");
 }

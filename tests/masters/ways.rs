@@ -1,4 +1,4 @@
-//! What waits for more than one answer: joint questions, set-points with their feedback, watched moves.
+//! Calls that wait for more than one answer: joint questions, set-points with their feedback, watched moves.
 
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -56,7 +56,7 @@ fn each_question_has_its_own_answer<W: Wire>() {
         turn_to(drive, angle);
     }
     listen(runner, millis(20));
-    // Also one that nobody answers, and one that waits for the other to the same motor.
+    // Also one that is not answered, and one that waits for another to the same motor.
     let asked = [1, 2, 9, 4, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
     let answers = runner.ask_together(asked);
     let told = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
@@ -143,9 +143,9 @@ fn the_bus_runs_until_then<W: Wire>() {
 fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
-    // One of the same kind is under way: its feedback is not taken for that of the next.
+    // One of the same kind is in flight: its feedback is not taken for that of the next.
     runner.set_point(id(1), push(0.1)).unwrap();
-    // On RS485 behind the reads that show whether there is an echo.
+    // On RS485 after the reads that show whether there is an echo.
     while !runner.master().is_anything_in_flight() {
         assert_eq!(runner.poll().unwrap(), None);
         let soon = runner.now() + myactuator_protocol_core::time::Duration::from_micros(50);
@@ -163,7 +163,7 @@ fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_told<W: Wire>() {
     let runner = &mut master(&bus);
     bus.world.cut(bus.drives[0].station());
     let silent = runner.set_point_and_wait(id(1), push(0.1));
-    // On CAN nobody acknowledges the frame, so that the bus takes no other.
+    // On CAN nothing acknowledges the frame, so the bus takes no other.
     assert!(
         matches!(
             silent,
@@ -224,7 +224,7 @@ fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {
     assert!((arrival.angle.degrees() - 10.0).abs() <= 0.3);
 }
 
-/// Moves it with so little torque that friction holds its shaft, and gives what is told.
+/// Moves it with so little torque that friction holds its shaft, and returns what is reported.
 fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
@@ -286,7 +286,7 @@ fn a_panic_on_the_way_stops_the_motor<W: Wire>() {
             });
     });
     assert!(catch_unwind(moving).is_err());
-    // Nobody runs the loop any more.
+    // Nothing runs the loop any more.
     bus.world.run_for(millis(500));
     let at = state(&bus.drives[0]).angle_deg;
     assert!((29.0..60.0).contains(&at), "{at}");
@@ -377,7 +377,7 @@ fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
     assert!(runner.ask(id(1), ReadMultiTurnAngle).is_ok());
     let told = runner.ask(id(1), turn(90.0)).unwrap_err();
     assert_eq!(told, CallError::Refused { motor: id(1), refusal: RequestError::Restarted });
-    // It has not restarted, and turns yet.
+    // It has not restarted, and still turns.
     assert!(state(&bus.drives[0]).measurement.speed_dps > 80.0);
     let told = told.to_string();
     for words in [
@@ -416,7 +416,7 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
     }
 }
 
-/// Its protection is shorter than the time from one look to the next.
+/// Its protection is shorter than the time between two looks.
 fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
     for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
         let bus = W::drives(&Fleet::new(1)).unwrap();
@@ -466,7 +466,7 @@ fn a_gripper_that_never_moved_has_gripped_nothing<W: Wire>() {
     assert!(matches!(why, MoveFailure::Stalled { at, .. } if at.degrees().abs() < 0.2), "{why}");
 }
 
-/// Its supply drops out for a moment: nobody has switched it off, and it heard all the time.
+/// Its supply fails for a moment: it was not told to switch off, and it heard everything.
 fn a_restart_on_the_way_is_told_as_one<W: Wire>() {
     let restart = "reset@1+300ms".parse().unwrap();
     let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
@@ -490,7 +490,7 @@ fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
         ControlFlow::Continue(())
     });
     assert!(moved.is_ok(), "{moved:?}");
-    // One that has restarted meanwhile is found out all the same.
+    // A motor that has restarted meanwhile is still detected.
     let restart = "reset@1+3s".parse().unwrap();
     let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
     let runner = &mut master(&bus);
@@ -507,8 +507,8 @@ fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
     assert_eq!(looks, 1);
 }
 
-/// A look that is ignored, by a drive that has lost its master meanwhile, is not the move: whoever were told to send a
-/// relative one again would move it twice.
+/// A drive that has lost its master meanwhile ignores a look, not the move. A caller that was told to repeat a relative
+/// move would move it twice.
 #[test]
 fn a_look_that_is_ignored_is_told_as_the_end_of_the_move() {
     let step = IncrementalPosition { max_speed: up_to(360), angle: degrees(200.0) };

@@ -1,4 +1,4 @@
-//! A drive with an ideal motor on a bench: commands go in, replies come out, time is virtual.
+//! A drive with an ideal motor on a test bench: commands go in, replies come out, time is virtual.
 
 use myactuator_protocol_core::command::{
     Command, ErrorFlags, Feedback, ReadMultiTurnAngle, ReadStatus2,
@@ -20,7 +20,7 @@ pub struct Bench {
     pub now: Instant,
     /// Everything that the drive sent, and when.
     pub sent: Vec<(Instant, Packet)>,
-    /// What the drive told its program.
+    /// What the drive reported to its program.
     pub events: Vec<Event>,
 }
 
@@ -80,7 +80,7 @@ impl Bench {
         self.collect();
     }
 
-    /// Puts a command on the bus and waits 5 ms: the data of whatever comes back in that time.
+    /// Puts a command on the bus and waits 5 ms. Returns the data of everything that comes back in that time.
     pub fn exchange(&mut self, channel: Channel, data: Data) -> Vec<Packet> {
         let before = self.sent.len();
         self.put(channel, data);
@@ -88,7 +88,7 @@ impl Bench {
         self.sent[before..].iter().map(|&(_, packet)| packet).collect()
     }
 
-    /// Sends any command to the drive; the data of its only reply, `None` if there is none.
+    /// Sends any command to the drive. Returns the data of its only reply; `None` if there is none.
     pub fn send(&mut self, command: impl Into<AnyCommand>) -> Option<Data> {
         let command = command.into();
         let target = if command.opcode() == Some(Opcode::BusId) { Target::All } else { ID.into() };
@@ -104,7 +104,7 @@ impl Bench {
         C::decode_reply(&data).expect("not a reply")
     }
 
-    /// Sends a command that is answered and gives the drive time to do it.
+    /// Sends a command that is answered, and waits until the drive has carried it out.
     pub fn go<C: Command + Into<AnyCommand>>(&mut self, command: C, span: Duration) {
         self.ask(command);
         self.run(span);
@@ -115,12 +115,12 @@ impl Bench {
         assert_eq!(self.send(command), Some(command.encode()));
     }
 
-    /// What 0x9C tells.
+    /// The values of 0x9C.
     pub fn feedback(&mut self) -> Feedback {
         self.ask(ReadStatus2)
     }
 
-    /// What an onlooker sees.
+    /// What can be seen from outside.
     pub fn state(&self) -> State {
         self.drive.state()
     }
@@ -131,7 +131,7 @@ impl Bench {
         self.run(millis(1));
     }
 
-    /// What 0x92 tells, in degrees.
+    /// The angle of 0x92, in degrees.
     pub fn told_angle(&mut self) -> f32 {
         self.ask(ReadMultiTurnAngle).angle.degrees()
     }
@@ -151,7 +151,7 @@ impl Bench {
         self.drive.state().measurement.current_a
     }
 
-    /// Runs for `span` and looks every millisecond.
+    /// Runs for `span` and checks every millisecond.
     pub fn watch(&mut self, span: Duration, mut look: impl FnMut(&State)) {
         for _ in 0..span.as_millis() {
             self.run(millis(1));
@@ -178,7 +178,7 @@ impl Bench {
         self.collect();
     }
 
-    /// The reason why the last command was not run, if it was not; forgets older events.
+    /// Why the last command was not run, if it was not. Drops older events.
     pub fn not_run(&mut self) -> Option<NotRunReason> {
         let mut reasons = self.events.drain(..).filter_map(|event| match event {
             Event::NotRun { reason, .. } => Some(reason),

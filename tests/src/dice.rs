@@ -1,4 +1,4 @@
-//! Chance that a seed decides, and bytes by chance.
+//! Seeded random numbers and bytes.
 
 use myactuator_protocol_core::{Data, Opcode};
 use proptest::prelude::*;
@@ -12,12 +12,12 @@ pub fn any_data() -> impl Strategy<Value = Data> {
         .prop_map(|(a, [b, c, d, e, f, g, h])| [a, b, c, d, e, f, g, h])
 }
 
-/// A seeded stream of chance (SplitMix64).
+/// A seeded stream of random numbers (SplitMix64).
 #[derive(Clone, Debug)]
 pub struct Dice(u64);
 
 impl Dice {
-    /// The chance of a seed.
+    /// The stream of a seed.
     pub const fn new(seed: u64) -> Self {
         Self(seed)
     }

@@ -1,4 +1,4 @@
-//! The adapters that are searched, who is there, and what happens.
+//! The adapters that are searched, the motors that are there, and what happens.
 
 use super::super::search::search;
 use super::Call::{Angle, Lift, Lock, Status, Stop, StopAll};
@@ -10,7 +10,7 @@ use super::{Adapter, Fault, State};
 const ANY_FAULT: &[Fault] =
     &[Deaf, CutShort, Lose, Harm, Double, Late, ReadFails, Halt, HaltAndHold, LoseMaster(0)];
 
-/// Motor 1 is there and motor 2 is not, and nobody has told that the adapter echoes.
+/// Motor 1 is there and motor 2 is not, and it was not configured that the adapter echoes.
 const UNTOLD: Adapter = Adapter {
     name: "an echo that nobody told of",
     echoes: true,
@@ -43,7 +43,7 @@ const QUIET: Adapter = Adapter {
     ..UNTOLD
 };
 
-/// As much noise as may not hide an echo: four answers in a row show that there is none.
+/// As much noise as must not hide an echo: four answers in a row show that there is none.
 const NOISE: Adapter = Adapter {
     name: "an echo that is lost",
     calls: &[Lock(0), Stop(0), Stop(1)],
@@ -52,11 +52,11 @@ const NOISE: Adapter = Adapter {
     ..UNTOLD
 };
 
-/// Only echoes come, though somebody is there.
+/// Only echoes come, although a motor is there.
 const DEAF: Adapter =
     Adapter { name: "a motor that is deaf", faults: &[Lose, Deaf], most_faults: 3, ..NOISE };
 
-/// As often as would do if it showed anything that what was read is lost.
+/// As often as would be enough if losing what was read showed anything.
 const FAILS: Adapter = Adapter {
     name: "a port that fails",
     calls: &[Status(0), Stop(1)],

@@ -1,5 +1,5 @@
-//! The line behind the port: an adapter that hands over in the order of the line what it hears, echoes or none, and
-//! drives, of which one may not be there.
+//! The line behind the port: an adapter that hands over what it hears in the order of the line, with or without echoes,
+//! and drives, one of which may not be there.
 
 use std::collections::VecDeque;
 use std::hash::{Hash, Hasher};
@@ -13,16 +13,16 @@ use crate::interleavings::world::motor_at;
 
 /// How long a drive takes to answer.
 const RESPONSE: Duration = Duration::from_millis(1);
-/// What comes later after its command was sent is late.
+/// An answer that comes later than this after its command was sent is late.
 const IN_TIME: Duration = Duration::from_millis(2);
 /// No answer comes later, as the master's documentation asks.
 const LAST_ANSWER: Duration = Duration::from_millis(4);
-/// Nor an echo than so.
+/// Nor an echo later than this.
 const LAST_ECHO: Duration = Duration::from_millis(99);
 
 const STATUS: Data = [0x9A, 50, 30, 1, 0xE5, 1, 0, 0];
 const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
-/// Bytes that are no frame, though one could begin at each header.
+/// Bytes that are no frame, although one could begin at each header.
 const NOISE: [u8; FRAME_LENGTH] = *b">\x01\x08>\x01\x08>\x01\x08>\x01\x08>";
 
 /// Bytes on their way to the port.
@@ -34,7 +34,7 @@ struct Heard {
     sent: Instant,
     /// When it is on the line.
     at: Instant,
-    /// That it takes long was counted as a fault.
+    /// Its delay was counted as a fault.
     is_late: bool,
 }
 
@@ -43,7 +43,7 @@ pub(super) struct Drive {
     pub(super) is_there: bool,
     /// It has lost its master, and hands the next command back.
     ignores: bool,
-    /// The command bytes that it has heard and executed, since somebody looks for each.
+    /// The command bytes that it has heard and executed since each was last awaited.
     executed: Vec<u8>,
 }
 
@@ -76,7 +76,7 @@ pub(super) struct Line {
     pub(super) echoes: bool,
     pub(super) drives: [Drive; 2],
     heard: VecDeque<Heard>,
-    /// Two have spoken at once.
+    /// Two have sent at the same time.
     pub(super) have_met: bool,
     /// A drive's message that it has lost its master was lost.
     lost_master_untold: bool,
@@ -103,7 +103,7 @@ impl Line {
         (self.have_met, self.lost_master_untold, self.has_doubled).hash(hasher);
     }
 
-    /// Bytes leave the port: a frame, or part of one. Nobody may hear them.
+    /// Bytes are sent: a frame, or part of one. They may reach no drive.
     pub(super) fn carry(&mut self, bytes: &[u8], now: Instant, is_heard: bool) {
         let meets = self.heard.iter_mut().filter(|it| it.at > now);
         let mut is_clear = true;
@@ -133,7 +133,7 @@ impl Line {
         match answers[..] {
             [] => {}
             [answer] => self.put(answer.encode().into(), false, now, now + RESPONSE),
-            // They meet.
+            // They collide.
             _ => self.put(NOISE.into(), false, now, now + RESPONSE),
         }
     }
@@ -191,7 +191,7 @@ impl Line {
         is_there
     }
 
-    /// How many are late at this time that were not; `None` if something must have come by then.
+    /// How many are late at this time that were not before; `None` if something must have come by then.
     pub(super) fn late_at(&mut self, until: Instant) -> Option<u8> {
         let mut late = 0;
         for heard in &mut self.heard {
@@ -207,12 +207,12 @@ impl Line {
         Some(late)
     }
 
-    /// The program is halted for long: all has come then.
+    /// The program is halted for long: everything has come then.
     pub(super) fn all(&mut self) -> Vec<u8> {
         self.heard.drain(..).flat_map(|heard| heard.bytes).collect()
     }
 
-    /// The program was halted for long, and the adapter has the echoes yet.
+    /// The program was halted for long, and the adapter still has the echoes.
     pub(super) fn hold_echoes(&mut self, now: Instant) -> bool {
         let lost: Vec<_> = self.heard.iter().filter(|it| !it.is_echo).cloned().collect();
         lost.iter().for_each(|heard| self.lose(&heard.bytes));
@@ -221,8 +221,8 @@ impl Line {
         !self.heard.is_empty()
     }
 
-    /// Whether what this motor answers may be taken for the answer to something that it has not heard, as the master's
-    /// documentation says. Who is not there answers nothing, whatever the others do.
+    /// Whether this motor's answers may be taken for the answer to something that it has not heard, as the master's
+    /// documentation says. A motor that is not there answers nothing, whatever the others do.
     pub(super) fn may_be_older(&self, motor: MotorId) -> bool {
         let is_there = self.drives[motor.index()].is_there;
         is_there && (self.has_doubled || self.lost_master_untold)

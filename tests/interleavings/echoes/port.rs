@@ -1,5 +1,5 @@
-//! A serial port, a direction pin and a clock that can be cloned with the loop that has them: what they stand for is
-//! lent to them for as long as the loop runs.
+//! A serial port, a direction pin and a clock that can be cloned with their loop. What they stand for is lent to them
+//! while the loop runs.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -17,15 +17,15 @@ pub(super) struct End {
     pub(super) arrived: VecDeque<u8>,
     /// Bytes that have left.
     pub(super) written: Vec<u8>,
-    /// The port takes so many bytes and fails then.
+    /// The port takes this many bytes and then fails.
     pub(super) fails_behind: Option<usize>,
-    /// What has arrived is lost, and the port says so.
+    /// What has arrived is lost, and the port reports that.
     pub(super) read_fails: bool,
     /// The transceiver sends.
     pub(super) sends: bool,
     /// Bytes have left while it did not.
     pub(super) has_sent_into_nothing: bool,
-    /// Until when there is nothing to do, as was said last.
+    /// Until when there is nothing to do, as last reported.
     pub(super) idle_until: Instant,
 }
 

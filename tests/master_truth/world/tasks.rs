@@ -1,4 +1,4 @@
-//! The ports and the clock for tasks: with the same manners, and as patient as a task.
+//! The ports and the clock for tasks. They behave in the same way, and wait as tasks do.
 
 use std::future::pending;
 
@@ -16,13 +16,13 @@ use super::{Book, Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared,
 /// A serial port that has taken a part of a frame takes the rest within this.
 const LONGEST_GAP_US: u64 = 500;
 
-/// One that holds it for so long carries nothing.
+/// One that holds it for this long carries nothing.
 const STUCK: Duration = Duration::from_millis(5);
 
 /// A port that holds a frame for 20 ms takes nothing, as far as the loops know.
 const LONG: Duration = Duration::from_millis(15);
 
-/// Waits until then, in the world's time; for ever without an end.
+/// Waits until then, in the world's time; forever without an end.
 async fn sleep<M: Medium>(world: &World<M>, until: Option<Instant>) {
     match until {
         Some(until) => world.clock().wait_until(until).await,
@@ -53,7 +53,7 @@ impl<M: Medium> Drop for Holds<M> {
         if now - self.since > STUCK {
             truth.bus_has_failed();
         }
-        // Whoever has waited for so long may give up before that has left.
+        // A caller that has waited for this long may give up before that was sent.
         if !self.has_taken || now - self.since > LONG {
             truth.port_has_failed();
         }
@@ -133,8 +133,8 @@ impl embedded_io_async::Write for RoughSerial {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
         self.note_offered(buf);
         let mut holds = Holds::new(&self.world, &self.book);
-        // A frame that is dropped before its first byte counts as sent all the same: no loop knows what a
-        // port has taken of it. So where any are dropped, only the rest of a frame has to wait.
+        // A frame that is dropped before its first byte still counts as sent: no loop knows how much of it a port has
+        // taken. So if any are dropped, only the rest of a frame has to wait.
         if buf.len() < FRAME_LENGTH {
             let wait = with(&self.manner, |manner| manner.dice.below(LONGEST_GAP_US));
             sleep(&self.world, Some(self.world.now() + Duration::from_micros(wait))).await;

@@ -34,8 +34,7 @@ on_both_buses! {
 /// Longer than two commands to a motor take, shorter than any brake takes to open: 50 ms and more.
 const MOMENT_MS: u32 = 10;
 
-/// Presses the button, and looks at every moment until the motors run: a shaft with an open brake and no
-/// output falls.
+/// Presses the button, and checks every moment until the motors run: a shaft with an open brake and no output falls.
 fn is_always_held<B: Moved>(firmware: &mut Firmware<'_, B>, bus: &BusFleet<B>) {
     firmware.press(millis(50));
     firmware.forget();
@@ -78,7 +77,7 @@ fn after_a_motor_restarted_its_brake_does_not_open_before_it_holds<B: Moved>() {
     is_always_held(&mut firmware, &bus);
 }
 
-/// Motors with a slow brake, if any, and a heavy arm each, stretched out.
+/// Motors with a slow brake, if any, and each with a heavy arm that is stretched out.
 pub(super) fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: -90.0 };
@@ -86,7 +85,7 @@ pub(super) fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
     B::drives(&Fleet::new(motors).brakes(brakes).quirks(quirks).load(load)).unwrap()
 }
 
-/// The drive obeys 0x77 whatever its errors, and holds nothing behind that.
+/// The drive obeys 0x77 despite any errors, and then holds nothing.
 fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
     let falls = |motors: u8, after_ms: u64| {
         let bus = loaded::<B>(motors, true);
@@ -105,17 +104,17 @@ fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
         }
         let trouble = Trouble::Errors { motor: id(motors), flags: ErrorFlags::STALL };
         assert_eq!(firmware.troubles(), [trouble], "after {after_ms} ms");
-        // Or would, behind the quickest brake.
+        // Or would, with the fastest brake.
         released_ms >= 50 || (angle_deg(last) - before_deg).abs() > 3.0
     };
-    // Before any brake has opened: later a load falls until that has locked again, whoever locks it.
+    // Before any brake has opened. Later a load falls until the brake has locked again, whatever locks it.
     for (motors, until) in [(1, 50), (8, 110)] {
         let fallen: Vec<u64> = (0..until).filter(|&ms| falls(motors, ms)).collect();
         assert!(fallen.is_empty(), "{motors} motors, error after {fallen:?} ms");
     }
 }
 
-/// It has it since it was asked whether it has one.
+/// The error came after the motor was asked for errors.
 fn no_brake_is_told_to_open_whose_motor_has_an_error<B: Moved>() {
     let bus = loaded::<B>(4, true);
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -154,7 +153,7 @@ fn whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped<B:
     assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
     let trouble = |motor| Trouble::Errors { motor: id(motor), flags: ErrorFlags::STALL };
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2)]);
-    // One that does not say so by itself is asked. Each is told once, until the button is pressed.
+    // A motor that does not report it on its own is asked. Each error is reported once, until the button is pressed.
     bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.run_for(millis(1_500));
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1)]);
@@ -213,9 +212,10 @@ fn who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding<B: Moved>() {
     has_none_fallen(&bus, &before_deg, 0.5);
 }
 
-/// Two brakes of three slip, or nobody has one.
+/// Two brakes of three slip, or no motor has one.
 fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
-    // Behind a brake nobody looks before it has had the time to lock; who has none is switched off.
+    // A shaft with a brake is not checked before the brake has had the time to lock. A motor without one is switched
+    // off.
     for (brakes, falling, most_deg, off) in [(true, 1..3, 25.0, 1), (false, 0..3, 8.0, 3)] {
         let bus = loaded::<B>(3, brakes);
         let (mut firmware, before_deg) = before_shutdown(&bus);
@@ -238,7 +238,7 @@ fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
             }
             _ => false,
         };
-        // The command and its answer: nobody who turns is switched off.
+        // The command and its answer: no motor that turns is switched off.
         assert_eq!(log.take().iter().filter(|record| is_told_off(record)).count(), 2 * off);
         let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
         firmware.stays_stopped();
@@ -246,7 +246,7 @@ fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
     }
 }
 
-/// Its motor would not hold behind that, so it is left to its brake even where that slips.
+/// Its motor would not hold with an open brake, so its brake stays locked even if it slips.
 fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
@@ -260,12 +260,12 @@ fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     stays_locked(&mut firmware, &bus.drives[0]);
     let told = firmware.troubles();
     assert!(told.contains(&Trouble::Turns { motor: id(1) }), "{told:?}");
-    // The other is held all the same.
+    // The other is still held.
     assert!(!is_off(&bus.drives[1]));
     assert!(fallen_deg(&bus, &before_deg)[1].abs() < 25.0);
 }
 
-/// It hears nothing for so long that it cuts its output by itself, or it restarts; and has no brake.
+/// It hears nothing for so long that it cuts its output on its own, or it restarts; and it has no brake.
 fn who_lets_go_while_all_are_stopped_is_told_to_hold_again<B: Moved>() {
     for is_restart in [false, true] {
         for gone_ms in [100, 550, 800, 3_000] {

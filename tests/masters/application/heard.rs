@@ -1,4 +1,4 @@
-//! Which motors must be heard, which must hear enough, and what is told of the others.
+//! Which motors must be heard, which must hear enough, and what is reported of the others.
 
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble};
@@ -44,7 +44,7 @@ fn lost_their_master<B: Moved>(bus: &BusFleet<B>) -> Vec<MotorId> {
     bus.drives.iter().filter(lost).map(DriveHandle::motor).collect()
 }
 
-/// Each motor takes its protection only at the third asking, 100 ms after the first.
+/// Each motor takes its protection only at the third attempt, 100 ms after the first.
 fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let bus = B::drives(&Fleet::new(8)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -55,7 +55,7 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     for drive in &bus.drives {
         let is_protected = || drive.with(|drive| drive.settings().protection_timeout.raw() == 500);
         assert!(!is_protected());
-        // Not in the middle of another question, which would fail before the third asking.
+        // Not in the middle of another question, which would fail before the third attempt.
         while B::NAME == "CAN" && firmware.runner.master().is_anything_in_flight() {
             firmware.run_for(Duration::from_micros(100));
         }
@@ -76,7 +76,7 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     assert_eq!(lost_their_master(&bus), []);
 }
 
-/// The motors hold, protected as they ran, and a firmware that has restarted looks for 32.
+/// The motors hold, with their protection on, and a firmware that has restarted searches for 32.
 fn motors_hear_enough_while_others_are_looked_for<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     drop(Firmware::running(&bus));
@@ -131,7 +131,7 @@ fn a_required_motor_must_be_found_wherever_is_searched<B: Moved>() {
     }
 }
 
-/// They get their stop again all the same, and whoever confirms it is expected from then on.
+/// They are still stopped again, and a motor that confirms it is expected from then on.
 fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     unplug(&bus, &bus.drives[1]);
@@ -172,7 +172,7 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
     }
 }
 
-/// On CAN each motor reports its errors by itself; on RS485 they wait until they are asked.
+/// On CAN each motor reports its errors on its own; on RS485 they wait until they are asked.
 fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
     let is_can = matches!(B::setup().movement, Movement::Motion { .. });
     let taken = (0..8).map(|index| {
@@ -191,7 +191,7 @@ fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
     assert_eq!(slowest < millis(5), is_can, "{slowest}");
 }
 
-/// Seven ids that nobody has: on RS485 the stops to them leave room for nothing else.
+/// Seven ids without a motor: on RS485 the stops to them leave room for nothing else.
 fn motors_hear_enough_beside_stops_to_nobody<B: Moved>() {
     let bus = B::drives(&Fleet::new(1)).unwrap();
     drop(Firmware::running(&bus));
@@ -247,7 +247,7 @@ fn two_motors_that_are_silent_are_a_dead_bus<B: Moved>() {
     firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
 }
 
-/// While the line waits for the one that is gone, the others are not asked.
+/// While the line waits for the motor that is gone, the others are not asked.
 fn a_bus_that_waits_long_for_a_silent_motor_is_not_down<B: Moved>() {
     let patience = millis(25);
     let patient = Config {

@@ -1,4 +1,4 @@
-//! The button, the light, and what is told every second.
+//! The button, the light, and the reports of every second.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_mcu_example::{Report, StateName};

@@ -1,4 +1,4 @@
-//! What a shutdown does for loads that their brakes do not hold, whatever comes in between.
+//! What a shutdown does with loads that their brakes do not hold, and with whatever interrupts it.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{Arm, Load};
@@ -31,7 +31,7 @@ fn shut_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
     firmware.panel.is_button_down = false;
 }
 
-/// Nobody has a brake, and who is looked at in the moment in which it was switched off does not turn yet.
+/// No motor has a brake, and one that is checked at the moment in which it was switched off does not turn yet.
 fn a_load_that_begins_to_fall_slowly_is_held_again<B: Moved>() {
     for mass_kg in [0.5, 1.0] {
         let arm = Arm { mass_kg, length_m: 0.4, down_deg: -90.0 };
@@ -46,7 +46,7 @@ fn a_load_that_begins_to_fall_slowly_is_held_again<B: Moved>() {
     }
 }
 
-/// The drive obeys 0x77 whatever its errors, and holds nothing behind that.
+/// The drive obeys 0x77 despite any errors, and then holds nothing.
 fn an_error_behind_a_brake_that_is_opened_again_locks_it_at_once<B: Moved>() {
     let open_ms = |is_broken_off: bool, after_ms: u64| {
         let bus = loaded::<B>(8, true);
@@ -84,9 +84,9 @@ enum Why {
     Silent,
 }
 
-/// In it no drive holds, and the stop that breaks it off does nothing behind a brake that was told to lock.
+/// During it no drive holds, and the stop that breaks it off has no effect behind a brake that was told to lock.
 fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
-    // While the brakes lock, while the outputs are switched off, and while one that turns is to hold again.
+    // While the brakes lock, while the outputs are switched off, and while a motor that turns is told to hold again.
     for after_ms in [2, 25, 100, 190, 202, 204, 206, 208, 210, 215] {
         for why in [Why::Button, Why::BusError, Why::Silent] {
             let bus = loaded::<B>(3, true);
@@ -97,7 +97,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             match why {
                 Why::Button => {
                     firmware.press(millis(30));
-                    // Whoever sees something fall presses again, as soon as that cannot start anything.
+                    // A person who sees something fall presses again, as soon as that cannot start anything.
                     if after_ms < 100 {
                         firmware.run_for(millis(60));
                         firmware.press(millis(30));
@@ -110,7 +110,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             let told = &firmware.panel.reports;
             assert!(!is_off(&bus.drives[1]), "{why:?} after {after_ms} ms: {told:?}");
             let fallen = fallen_deg(&bus, &before_deg);
-            // It falls while the one that is silent is waited for, too.
+            // It falls while the silent motor is waited for, too.
             let most_deg = if matches!(why, Why::Silent) { 45.0 } else { 30.0 };
             assert!(
                 fallen[1] < most_deg && fallen[0].abs() < 0.5,
@@ -150,7 +150,7 @@ fn an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
     firmware.stays_stopped();
 }
 
-/// It was told to lock its brake, and is back in each of the states behind that; or is gone only when it is looked at.
+/// It was told to lock its brake, and is back in each of the states after that; or it is gone only when it is checked.
 fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
     for cut_while_looking in [false, true] {
         for back_after_ms in [100, 205, 215, 300, 600, 700, 2_000] {
@@ -185,7 +185,7 @@ fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved
     }
 }
 
-/// Whoever presses just then has seen it, perhaps: it is as good as a press right behind that.
+/// A person who presses just then may have seen it: it counts like a press right after that.
 fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, _) = before_shutdown(&bus);
@@ -204,7 +204,7 @@ fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Finding)), 0);
 }
 
-/// Also where it stops by switching off.
+/// Also if it stops by switching off.
 fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let setup = Setup { stop: StopKind::Off, ..B::setup() };
@@ -225,7 +225,7 @@ fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
     assert!((angle_deg(&bus.drives[1]) - held_deg).abs() < 0.5);
 }
 
-/// At the start, where an earlier firmware may have left them holding, and where anything is wrong.
+/// At the start, when an earlier firmware may have left the motors holding, and when anything is wrong.
 fn a_product_that_stops_by_switching_off_holds_nothing<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     drop(Firmware::running(&bus));

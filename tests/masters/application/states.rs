@@ -1,4 +1,4 @@
-//! The button and what is wrong, in every state in which something is under way.
+//! The button and troubles, in every state in which something is going on.
 
 use std::mem;
 
@@ -28,7 +28,7 @@ on_both_buses! {
 const UNDER_WAY: [StateName; 4] =
     [StateName::Finding, StateName::Preparing, StateName::Running, StateName::ShuttingDown];
 
-/// A firmware that has come to this state just now, with the button up.
+/// A firmware that has just entered this state, with the button up.
 fn in_state<B: Moved>(firmware: &mut Firmware<'_, B>, state: StateName) {
     firmware.run_for(millis(1_500));
     firmware.panel.is_button_down = true;
@@ -41,7 +41,7 @@ fn in_state<B: Moved>(firmware: &mut Firmware<'_, B>, state: StateName) {
 }
 
 fn a_press_in_any_state_stops_and_starts_nothing<B: Moved>() {
-    // While it is shut down, the button is still held.
+    // During a shutdown the button is still held.
     for state in UNDER_WAY.into_iter().filter(|&state| state != StateName::ShuttingDown) {
         let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
         let mut firmware = Firmware::start(&bus, Panel::default());
@@ -81,7 +81,7 @@ fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
     firmware.stays_stopped();
 }
 
-/// Whoever presses meant to stop what has just been stopped.
+/// The press was meant to stop what has just been stopped.
 fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
     for state in [StateName::Finding, StateName::Preparing, StateName::Running] {
         let bus = B::drives(&Fleet::new(2)).unwrap();
@@ -99,7 +99,7 @@ fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
     }
 }
 
-/// It was running, perhaps, until its watchdog ended that.
+/// It may have been running until its watchdog ended that.
 fn a_press_right_behind_a_restart_by_itself_starts_nothing<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -113,7 +113,7 @@ fn a_press_right_behind_a_restart_by_itself_starts_nothing<B: Moved>() {
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }
 
-/// Somebody switches the motors' supply off and on before the button is pressed for the first time.
+/// The motors' supply is switched off and on before the button is pressed for the first time.
 fn a_motor_that_restarted_before_it_was_looked_for_runs<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -137,7 +137,7 @@ fn no_brake_opens_while_a_motor_has_an_error<B: Moved>() {
         let mut firmware = Firmware::start(&bus, Panel::default());
         firmware.run_for(millis(1_500));
         bus.drives[usize::from(motor.get()) - 1].with(|drive| drive.raise_fault(flags));
-        // Told while it is stopped, and again since it keeps the motors from starting.
+        // Reported while it is stopped, and again because it keeps the motors from starting.
         firmware.run_until(Report::Trouble(Trouble::Errors { motor, flags }), millis(1_000));
         firmware.run_for(millis(1_000));
         firmware.press(millis(50));

@@ -1,5 +1,5 @@
-//! Runs a board's firmware in the emulator, on a bus of simulated drives, for a person to look at:
-//! `cargo emulate mps2_an386 --bin rs485`.
+//! Runs a board's firmware in the emulator, on a bus of simulated drives, to try it by hand: `cargo emulate mps2_an386
+//! --bin rs485`.
 
 use std::error::Error;
 use std::io::{self, BufRead as _};
@@ -85,13 +85,13 @@ fn obey(line: &str, panel: &mut Panel) -> Result<(), Failure> {
     }
 }
 
-/// Hands on what is typed, and that it is time to end. The end of what is typed is not.
+/// Passes on what is typed, and when to end. The end of the input is no reason to end.
 fn listen(say: Sender<Said>) -> io::Result<()> {
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     let end = say.clone();
     thread::spawn(move || {
         if signals.forever().next().is_some() {
-            // Without a listener it has ended already.
+            // Without a receiver it has ended already.
             let _ = end.send(Said::End);
         }
     });

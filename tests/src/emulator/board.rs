@@ -12,7 +12,7 @@ pub enum Board {
     NetduinoPlus2,
 }
 
-/// What leads from a board to the motors.
+/// The connection from a board to the motors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wire {
     /// An RS485 line.
@@ -21,7 +21,7 @@ pub enum Wire {
     Slcan,
 }
 
-/// What a serial port of a board leads to.
+/// What a serial port of a board is connected to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Port {
     Bus,
@@ -49,7 +49,7 @@ impl Board {
         }
     }
 
-    /// Where its serial ports lead, in QEMU's order; `None` if it has no such wire.
+    /// What its serial ports are connected to, in QEMU's order; `None` if it has no such wire.
     pub(super) const fn ports(self, wire: Wire) -> Option<&'static [Port]> {
         match (self, wire) {
             (Self::Mps2An386, Wire::Rs485) => Some(&[Port::Bus, Port::Nothing, Port::Panel]),
@@ -81,7 +81,7 @@ impl Wire {
     /// The wire of a program, which is named after it.
     ///
     /// # Errors
-    /// A sentence for a name that says nothing about a wire.
+    /// A sentence, for a name that does not contain a wire.
     pub fn of_program(name: &str) -> Result<Self, String> {
         match name.split('_').next() {
             Some("rs485") => Ok(Self::Rs485),

@@ -26,7 +26,7 @@ use super::{Failure, urgency};
 /// Bits per second, on either wire: what the boards' programs are set to.
 const BIT_RATE: u32 = 1_000_000;
 
-/// A command that was on the wire whole.
+/// A command that was on the wire completely.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heard {
     /// When it ended.
@@ -37,17 +37,17 @@ pub struct Heard {
 
 type Shared<T> = Arc<Mutex<Vec<T>>>;
 
-/// What lies between the firmware and the bus.
+/// What is between the firmware and the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Adapter {
-    /// It is as quick as it can be, and sends in order.
+    /// As fast as possible, and sends in order.
     Kind,
-    /// It hands over what it hears every 2 ms. On RS485 it hands back what it is given to send; on CAN it sends
-    /// by priority, from three mailboxes, and takes a frame back for a more urgent one.
+    /// Hands over what it hears every 2 ms. On RS485 it echoes. On CAN it sends by priority, from three mailboxes, and
+    /// hands a frame back for a more urgent one.
     Unkind,
 }
 
-/// On RS485 each exchange waits for one: with longer bursts the set-points are so few that shafts go in steps.
+/// On RS485 each exchange waits for one. With longer bursts the set-points are so few that shafts move in steps.
 const BURSTS: Duration = Duration::from_millis(2);
 
 /// Simulated drives, in real time. They stop when this is dropped.
@@ -72,10 +72,10 @@ impl fmt::Debug for Drives {
 }
 
 impl Drives {
-    /// These, on a wire to nobody.
+    /// These drives, on a wire that is not connected yet.
     ///
     /// # Errors
-    /// They cannot be simulated.
+    /// If they cannot be simulated.
     pub fn new(fleet: &Fleet, wire: Wire) -> Result<Self, Failure> {
         let bus: Arc<dyn Bus> = match wire {
             Wire::Rs485 => Arc::new(fleet.on_rs485(BIT_RATE)?),
@@ -97,8 +97,7 @@ impl Drives {
         self
     }
 
-    /// Puts whoever is at the other end of the stream on their wire: as the serial port of an RS485 line, or
-    /// of an SLCAN adapter.
+    /// Connects the other end of the stream to their wire: as the serial port of an RS485 line, or of an SLCAN adapter.
     ///
     /// # Errors
     /// The operating system's.
@@ -111,7 +110,7 @@ impl Drives {
             urgency::take();
             let mut server = Server::new();
             let told = |notice| match notice {
-                // What drives refuse is the firmware's affair.
+                // What drives refuse is for the firmware to handle.
                 Notice::Log(_) => {}
                 notice => push(&notices, notice.to_string()),
             };
@@ -135,7 +134,7 @@ impl Drives {
         self.bus.now()
     }
 
-    /// What the server had to say: simulated time that was left out because the machine was busy.
+    /// What the server reported: simulated time that was skipped because the machine was busy.
     pub fn notices(&self) -> Vec<String> {
         self.notices.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -153,7 +152,7 @@ impl Drives {
         heard.iter().filter(|heard| heard.at >= since).copied().collect()
     }
 
-    /// What chance does to frames both ways from now on.
+    /// Sets the random faults of frames in both directions from now on.
     pub fn disturb(&self, plan: FaultPlan) {
         self.bus.disturb(plan);
     }
@@ -173,8 +172,7 @@ impl Drives {
         self.bus.restart(drive.station());
     }
 
-    /// Puts another drive in a drive's place, as it came from the factory but for the date of its
-    /// software.
+    /// Replaces a drive by another, as it comes from the factory except for the date of its software.
     ///
     /// # Errors
     /// Its memory fails.
@@ -193,7 +191,7 @@ impl Drop for Drives {
     fn drop(&mut self) {
         if let Some(Running { stop, thread }) = self.server.take() {
             drop(stop);
-            // A panic there has been told already.
+            // A panic there has been reported already.
             let _ = thread.join();
         }
     }

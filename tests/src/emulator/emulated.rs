@@ -15,11 +15,11 @@ use super::socket::Waiting;
 /// A board that runs, and the drives that it moves. All end when this is dropped.
 #[derive(Debug)]
 pub struct Emulated {
-    /// What the firmware tells.
+    /// What the firmware reports.
     pub log: Log,
     /// The button.
     pub panel: Panel,
-    /// The drives. They end before the emulator, which they would miss.
+    /// The drives. They end before the emulator, which would otherwise be missing for them.
     pub drives: Drives,
     /// The emulator.
     pub qemu: Qemu,
@@ -27,7 +27,7 @@ pub struct Emulated {
 }
 
 impl Emulated {
-    /// Starts a board with these drives; calls `tell` with each line that the firmware tells.
+    /// Starts a board with these drives. Calls `tell` with each line that the firmware logs.
     ///
     /// # Errors
     /// What is missing, and how to get it.

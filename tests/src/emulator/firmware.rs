@@ -1,4 +1,4 @@
-//! A board's firmware, its drives, and whoever looks at both.
+//! A board's firmware, its drives, and checks of both ends.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -16,12 +16,12 @@ use super::truth::{Look, Truth};
 use super::urgency::{REPLY_TIMEOUT, Stalls};
 use super::{Emulated, Failure};
 
-/// They keep real time, so that several at once would miss it.
+/// They run in real time, so several at once would be late.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A drive confirms a stop before its shaft has come to rest.
 const COMES_TO_REST: Duration = Duration::from_millis(20);
-/// The application runs a cycle a millisecond. Where so many of a second are missing, the emulator stood still.
+/// The application runs a cycle each millisecond. If this many of a second are missing, the emulator stood still.
 const CYCLES: u32 = 1_000;
 const STOOD_STILL: u32 = 15;
 /// Lines of the log that are shown when something is wrong.
@@ -29,17 +29,17 @@ const TAIL: usize = 40;
 
 /// A firmware that runs. Everything ends when this is dropped.
 ///
-/// Its methods panic where a test has failed, with the end of the log.
+/// Its methods panic if a test has failed, with the end of the log.
 #[derive(Debug)]
 pub struct Firmware {
     emulated: Emulated,
     /// What the shafts really did.
     pub truth: Truth,
-    /// How often the machine had something else to do.
+    /// How often the machine was busy with something else.
     pub stalls: Stalls,
-    /// Up to where the log was read.
+    /// The point up to which the log was read.
     read: Mark,
-    /// The cycles that the application told of last.
+    /// The cycles that the application last reported.
     cycles: u32,
     /// Replies that were too late because the emulator stood still or was slow.
     stood_still: usize,
@@ -71,7 +71,7 @@ impl Firmware {
         let drives = Drives::new(fleet, wire)?.behind(adapter);
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
-        // Before the emulator starts: they are as urgent as that.
+        // Before the emulator starts, since they have the same priority.
         let stalls = Stalls::count();
         let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
         let read = Mark::default();
@@ -102,7 +102,7 @@ impl Firmware {
         self.expect(held);
     }
 
-    /// Breaks the firmware. Gives when, on the drives' clock.
+    /// Breaks the firmware. Returns when, on the drives' clock.
     pub fn break_it(&mut self, how: Breakage) -> Instant {
         let now = self.emulated.drives.now();
         let broken = self.emulated.panel.break_it(how);
@@ -128,28 +128,28 @@ impl Firmware {
         }
     }
 
-    /// The next second that the application tells of.
+    /// The next second that the application reports.
     #[track_caller]
     pub fn wait_for_second(&mut self) -> Second {
         let line = self.wait_for("Second", Duration::from_secs(3));
         let Some(second) = line.second() else {
             self.fail(&format!("this is no second: {line}"));
         };
-        // They begin anew with each motion.
+        // They start again with each motion.
         let before = if self.cycles < second.cycles { self.cycles } else { 0 };
         let missing = CYCLES.saturating_sub(second.cycles - before);
         if missing >= STOOD_STILL {
-            // A master asks the next time after so many milliseconds, so that each of these may cost a reply.
+            // A master repeats a command after this many milliseconds, so each of these may cost a reply.
             let late = missing / REPLY_TIMEOUT.as_millis() as u32 + 1;
-            // What each drive was told, and the question that one of them is asked besides.
+            // The set-point of each drive, and the question that one of them is asked besides.
             self.stood_still += late as usize * (self.drives().handles().len() + 1);
         }
         self.cycles = second.cycles;
         second
     }
 
-    /// How many replies may have come too late so far because the machine had something else to do, or the
-    /// emulator itself stood still.
+    /// How many replies may have come too late so far because the machine was busy with something else, or the emulator
+    /// itself stood still.
     pub fn excused(&self) -> usize {
         self.stalls.excused() + self.stood_still
     }
@@ -164,7 +164,7 @@ impl Firmware {
         self.emulated.log.since(Mark::default())
     }
 
-    /// Skips what the log says until now.
+    /// Skips the log until now.
     pub fn skip(&mut self) {
         self.read = self.emulated.log.mark();
     }
@@ -178,8 +178,8 @@ impl Firmware {
         }
     }
 
-    /// Waits until all shafts turn faster than this, and gives when that was. By their mean speed: where
-    /// set-points are few, shafts go in steps.
+    /// Waits until all shafts turn faster than this, by their mean speed, and returns when that was. If set-points are
+    /// few, shafts move in steps.
     #[track_caller]
     pub fn wait_until_moving(&self, speed_dps: f32) -> Instant {
         let until = WallTime::now() + Duration::from_secs(4);
@@ -192,18 +192,18 @@ impl Firmware {
         self.fail(&format!("not all motors turn at {speed_dps} degrees a second"))
     }
 
-    /// How all drives do now.
+    /// The state of all drives now.
     pub fn looks(&self) -> Vec<Look> {
         self.drives().handles().iter().map(Look::at).collect()
     }
 
-    /// This, and the longest time for which the machine had something else to do.
+    /// This, and the longest time for which the machine was busy with something else.
     pub fn with_stalls(&self, within: Duration) -> Duration {
         within + self.stalls.longest()
     }
 
-    /// Fails unless all these shafts stood still from so long after `since` on, until now; later by what the
-    /// machine itself was late. Called a while after that.
+    /// Fails unless all these shafts stood still from this long after `since` until now. The delay of the machine
+    /// itself is added to that. Call it a while after that.
     #[track_caller]
     pub fn check_still(&self, since: Instant, within: Duration) {
         let (moved_for, within) = (self.truth.moved_for(since), self.with_stalls(within));
@@ -212,8 +212,8 @@ impl Firmware {
         }
     }
 
-    /// Fails unless nothing moves in the next `span` but for the moment in which shafts come to rest, and
-    /// the application starts nothing.
+    /// Fails unless nothing moves in the next `span`, except for the moment in which shafts come to rest, and the
+    /// application starts nothing.
     #[track_caller]
     pub fn check_stays_stopped(&mut self, span: Duration) {
         self.skip();

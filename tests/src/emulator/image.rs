@@ -10,9 +10,9 @@ use serde_json::Value;
 use super::board::Board;
 use super::{Failure, target_dir};
 
-/// What boards' firmware is compiled for.
+/// The target of the boards' firmware.
 const TARGET: &str = "thumbv7em-none-eabihf";
-/// Names a folder of firmware that is there already, as BOARD/PROGRAM.
+/// Names a folder of firmware that is built already, as BOARD/PROGRAM.
 const FOLDER: &str = "FIRMWARE_DIR";
 
 /// The file of a board's program: that in the folder that the environment variable
@@ -29,7 +29,7 @@ pub fn find(board: Board, program: &str) -> Result<PathBuf, Failure> {
     Ok(file)
 }
 
-/// Builds it, and copies it to where no other board's program of the same name replaces it.
+/// Builds it, and copies it to a place where another board's program of the same name does not replace it.
 fn build(board: Board, program: &str) -> Result<PathBuf, Failure> {
     need_target()?;
     let output = cargo()

@@ -1,4 +1,4 @@
-//! What the firmware tells.
+//! The log of the firmware.
 
 use std::fmt;
 use std::io::Read;
@@ -16,7 +16,7 @@ use super::Failure;
 pub struct Line {
     /// When it came.
     pub came: Instant,
-    /// The firmware's clock then, if it tells that.
+    /// The firmware's clock then, if it is logged.
     pub at: Option<Duration>,
     /// What it says.
     pub text: String,
@@ -31,12 +31,12 @@ impl fmt::Display for Line {
     }
 }
 
-/// What a running application tells every second.
+/// The report of a running application every second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Second {
-    /// Cycles since the motors run.
+    /// Cycles since the motors began to run.
     pub cycles: u32,
-    /// Cycles of these that began late.
+    /// How many of them began late.
     pub overruns: u32,
     /// Answered set-points of the motor with the fewest, in this second.
     pub slowest: u32,
@@ -44,14 +44,14 @@ pub struct Second {
     pub lost: u32,
     /// The deepest stack since the start, in bytes.
     pub stack: u32,
-    /// The most that has waited for the loop since the start, in bytes.
+    /// The most that was queued for the loop since the start, in bytes.
     pub queued: u32,
     /// What was lost on the board since the start, in bytes.
     pub dropped: u32,
 }
 
 impl Line {
-    /// The number behind `field:`, as in `Second { cycles: 1000 }`.
+    /// The number after `field:`, as in `Second { cycles: 1000 }`.
     pub fn number(&self, field: &str) -> Option<f64> {
         let (_, rest) = self.text.split_once(&format!("{field}: "))?;
         let is_of_number = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-');
@@ -59,7 +59,7 @@ impl Line {
         number.split(|c| !is_of_number(c)).next()?.parse().ok()
     }
 
-    /// What it tells of a second, if it is about that.
+    /// Its report of a second, if it is one.
     pub fn second(&self) -> Option<Second> {
         if !self.text.starts_with("Second") {
             return None;
@@ -82,11 +82,11 @@ struct Told {
     lines: Vec<Line>,
     /// Frames that could not be read.
     garbled: usize,
-    /// Nobody tells anything any more.
+    /// Nothing more will come.
     is_over: bool,
 }
 
-/// All that a firmware has told. Clones share it.
+/// All that a firmware has logged. Clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Log(Arc<(Mutex<Told>, Condvar)>);
 
@@ -98,7 +98,7 @@ impl Log {
     /// Decodes what comes from `source` until it ends; calls `tell` with each line.
     ///
     /// # Errors
-    /// The image's file tells nothing about its log.
+    /// If the image's file does not describe its log.
     pub fn decode(
         image: &Path,
         mut source: impl Read + Send + 'static,
@@ -154,7 +154,7 @@ impl Log {
         Mark(self.lock().lines.len())
     }
 
-    /// Everything behind a mark.
+    /// Everything after a mark.
     pub fn since(&self, mark: Mark) -> Vec<Line> {
         self.lock().lines.get(mark.0..).unwrap_or_default().to_vec()
     }
@@ -164,12 +164,12 @@ impl Log {
         self.lock().garbled
     }
 
-    /// Whether the firmware can still tell something.
+    /// Whether the firmware can still log anything.
     pub fn is_open(&self) -> bool {
         !self.lock().is_over
     }
 
-    /// The first line behind `mark` that satisfies, with the mark behind it; waits for that.
+    /// The first line after `mark` that satisfies the condition, with the mark after it. Waits for that.
     pub fn wait(
         &self,
         mark: Mark,

@@ -9,7 +9,7 @@ use super::Failure;
 
 /// How long a short press lasts.
 const SHORT: Duration = Duration::from_millis(80);
-/// How long a long press lasts: the application takes one of a second for long.
+/// How long a long press lasts. For the application, one second is long.
 const LONG: Duration = Duration::from_millis(1_300);
 
 /// A way to break the firmware.
@@ -17,17 +17,17 @@ const LONG: Duration = Duration::from_millis(1_300);
 pub enum Breakage {
     /// It panics.
     Panic,
-    /// It does what the processor forbids.
+    /// It raises a fault.
     Fault,
-    /// It does not go on.
+    /// It hangs.
     Hang,
-    /// It uses up its stack.
+    /// It overflows its stack.
     Overflow,
-    /// An exception comes that nobody handles.
+    /// It raises an exception that has no handler.
     Unexpected,
 }
 
-/// Whoever stands in front of the board.
+/// The user of the board.
 #[derive(Debug)]
 pub struct Panel {
     socket: UnixStream,
@@ -42,7 +42,7 @@ impl Panel {
     /// Presses the button and lets go.
     ///
     /// # Errors
-    /// The emulator has gone.
+    /// If the emulator has ended.
     pub fn press(&mut self) -> Result<(), Failure> {
         self.press_for(SHORT)
     }
@@ -50,7 +50,7 @@ impl Panel {
     /// Holds the button until that is a long press, and lets go.
     ///
     /// # Errors
-    /// The emulator has gone.
+    /// If the emulator has ended.
     pub fn hold(&mut self) -> Result<(), Failure> {
         self.press_for(LONG)
     }
@@ -64,7 +64,7 @@ impl Panel {
     /// Breaks the firmware.
     ///
     /// # Errors
-    /// The emulator has gone.
+    /// If the emulator has ended.
     pub fn break_it(&mut self, how: Breakage) -> Result<(), Failure> {
         self.send(match how {
             Breakage::Panic => b'p',
@@ -79,10 +79,10 @@ impl Panel {
         Ok(self.socket.write_all(&[byte])?)
     }
 
-    /// Whether the light is on just now.
+    /// Whether the light is on now.
     ///
     /// # Errors
-    /// The emulator has gone.
+    /// If the emulator has ended.
     pub fn is_light_on(&mut self) -> Result<bool, Failure> {
         let mut told = [0; 64];
         loop {
