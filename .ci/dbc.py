@@ -37,7 +37,7 @@ class Frame:
 
     def signals(self, name, key):
         """The signals of a field, by the rule of names: several for a text, else one."""
-        # What may stand between command and field: the value that selects it.
+        # What may be between command and field: the value that selects it.
         words = ["", "other_"]
         words += [f"{value}_" for value in self.named.values() if isinstance(value, NamedSignalValue)]
         for word in words:
@@ -66,7 +66,7 @@ class Frame:
                 flags = self.message.get_signal_by_name(signal).choices
                 return [str(flags[bit]) for bit in sorted(flags) if raw & bit] == value
             case _:
-                # A float of the frame has 24 bits, its decimal as few digits as tell it apart.
+                # A float of the frame has 24 bits; its decimal has the fewest digits that distinguish it.
                 is_float = self.message.get_signal_by_name(signal).is_float
                 return math.isclose(scaled, value, rel_tol=1e-7 if is_float else 1e-9, abs_tol=1e-12)
 
@@ -88,7 +88,7 @@ def differences(frame, explanation, example):
     for key, value in told.items():
         values = [value] + ([example["fields"][key]] if key in example["fields"] else [])
         if key.endswith("_raw"):
-            # The number of what stands before it.
+            # The number of the text before it.
             [signal] = signals
             agrees = all(frame.raw[signal] == value for value in values)
         else:

@@ -1,5 +1,5 @@
 # shellcheck shell=bash
-# Sourced by the scripts beside it: brings the tools that they need.
+# Sourced by the scripts next to it: provides the tools that they need.
 
 die() { echo "error: $*" >&2; exit 1; }
 
@@ -15,7 +15,7 @@ apt_update() {
     apt_updated=yes
 }
 
-# --no-remove: never trade a contributor's own packages for ours.
+# --no-remove: never replace a contributor's own packages by ours.
 apt_options=(-q -y --no-install-recommends --no-remove)
 apt_install() { # packages...
     apt_update "$@"
@@ -28,8 +28,8 @@ need() { # program, packages...
     command -v "$1" >/dev/null || die "$1 is still missing after installing ${*:2}."
 }
 
-# Beside a newer qemu-utils apt-get cannot install an emulator without removing that. Then the
-# emulator is unpacked in a folder, and only what it depends on is installed.
+# If a newer qemu-utils is installed, apt-get cannot install an emulator without removing that. Then the emulator is
+# unpacked in a folder, and only what it depends on is installed.
 need_qemu() { # program, package, folder
     PATH=$PATH:$3/usr/bin
     "$1" --version >/dev/null 2>&1 && return
@@ -54,7 +54,7 @@ need_qemu() { # program, package, folder
     "$1" --version >/dev/null || die "$1, unpacked in $3, does not run. Install it by hand."
 }
 
-# Sets `python`, the folder of an environment with what .ci/requirements.txt names; makes it if need be.
+# Sets `python`, the folder of an environment with the packages of .ci/requirements.txt; makes it if necessary.
 need_python_env() { # folder
     python=$1
     cmp -s .ci/requirements.txt "$python/requirements.txt" && return

@@ -1,10 +1,14 @@
-//! The model of the world: frames on their way to the drives, drives that answer in order, replies on
-//! their way back, and what is true, which the oracle knows and the master does not.
+//! The model of the world: frames on their way to the drives, drives that answer in order, replies on their way back,
+//! and the truth, which the oracle knows and the master does not.
 //!
-//! It is CAN, with mailboxes that send by priority; or a line, on which a command is through when it was sent, all
-//! answers come in order, and those of two motors to one command meet each other. Times are whole milliseconds, so that states meet
-//! again: a drive takes one to answer. A command and its reply are through sooner than
-//! [`Config::late_window`] after the command's sending, as the master's documentation asks.
+//! The bus is one of these:
+//!
+//! - CAN, with mailboxes that send by priority.
+//! - A line, on which a command has arrived once it is sent, all answers come in order, and those of two motors to one
+//!   command collide.
+//!
+//! Times are whole milliseconds, so that states recur; a drive takes one to answer. A command and its reply arrive
+//! within [`Config::late_window`] after the command was sent, as the master's documentation asks.
 
 use std::hash::{Hash, Hasher};
 
@@ -17,29 +21,29 @@ use super::canonical::from_now;
 const MS: Duration = Duration::from_millis(1);
 /// How long a drive takes to answer.
 const RESPONSE: Duration = MS;
-/// So many frames a controller holds.
+/// How many frames a controller holds.
 const MAILBOXES: usize = 3;
-/// In byte 1 of each reply that is none of a kind which repeats its command: it was executed.
+/// In byte 1 of each reply whose kind does not repeat its command: it was executed.
 const DONE: u8 = 0x11;
 const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 
-/// The clock does not start at zero, which for the engine means "never".
+/// The clock does not start at zero, which for the master means "never".
 pub(crate) const START: Instant = Instant::from_millis(1_000);
 
 /// What carries the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Medium {
     Can,
-    /// As a fault it may be cut, and be mended at any time.
+    /// As a fault it may be cut, and it may be mended at any time.
     CanThatIsCut,
     /// RS485.
     Line,
 }
 
-/// A cut is noticed by then.
+/// By then a cut is noticed.
 const LONGEST_CUT: Duration = Duration::from_millis(30);
 
-/// How the master is set up: the order of the times is that of [`Config::CAN`].
+/// The master's configuration: the order of the times is that of [`Config::CAN`].
 pub(crate) fn config(medium: Medium) -> Config {
     let (bus, settle_time) = match medium {
         Medium::Can | Medium::CanThatIsCut => (Bus::Can, MS),
@@ -64,13 +68,13 @@ pub(crate) fn config(medium: Medium) -> Config {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub(crate) packet: Packet,
-    /// The number of the call that it is of.
+    /// The number of the call to which it belongs.
     pub(crate) call: u8,
     /// When its command was sent.
     sent: Instant,
-    /// A reply is not there before this.
+    /// A reply does not arrive before this.
     ready: Instant,
-    /// That it takes long was counted as a fault.
+    /// Its delay was counted as a fault.
     is_late: bool,
 }
 
@@ -115,7 +119,7 @@ pub(crate) fn kind_of_stop(packet: &Packet) -> Option<StopKind> {
     }
 }
 
-/// The number of the call that a command or an honest reply is of; stops of the master have none.
+/// The number of the call to which a command or an honest reply belongs; stops of the master have none.
 pub(crate) fn call_of(packet: &Packet) -> u8 {
     match packet.channel {
         Channel::Motion(_) | Channel::MotionReply(_) => packet.data[7],
@@ -135,34 +139,34 @@ fn bit_of(byte: u8) -> u8 {
     }
 }
 
-/// A request whose outcome is to come.
+/// A request without an outcome so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Open {
     pub(crate) ticket: TicketId,
     pub(crate) data: Data,
 }
 
-/// What is true of one motor.
+/// The truth about one motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Truth {
     pub(crate) open: Option<Open>,
-    /// It was stopped by itself, and that was not lifted.
+    /// It was stopped on its own, and that was not lifted.
     pub(crate) is_stopped: bool,
     /// It was switched off by a stop that was not lifted.
     pub(crate) is_off: bool,
-    /// How the last command or call that ended its motion did it, where that is clear.
+    /// How the last command or call that ended its motion did so, if that is certain.
     pub(crate) wants: Option<StopKind>,
-    /// And that was sent.
+    /// Whether that was sent.
     pub(crate) is_wanted_sent: bool,
-    /// The command to all that ended its motion last: it may get that by itself, and confirm it.
+    /// The command to all that ended its motion last. The motor may get its own instead, and confirm that.
     pub(crate) all_call: u8,
     /// The call that stopped it last; and the last one that was a request for a stop or a stop.
     pub(crate) stop_call: u8,
     pub(crate) last_stop: u8,
-    /// The stop of its own that the bus took and that is not confirmed: the call that it is of, which no later one
+    /// Its own stop that the bus took and that is not confirmed: the call to which it belongs, which no later one
     /// changes, and its kind.
     pub(crate) stop_taken: Option<(u8, StopKind)>,
-    /// A stop that is neither confirmed nor given up, and of which kind the last one was.
+    /// A stop that is neither confirmed nor given up, and the kind of the last one.
     pub(crate) is_stopping: bool,
     pub(crate) stop_kind: Option<StopKind>,
     /// Which set-points and moves were sent and not handed back, a bit each.
@@ -177,7 +181,7 @@ pub(crate) struct Truth {
 }
 
 impl Truth {
-    /// The call that a stop of the master is of.
+    /// The call to which a stop of the master belongs.
     pub(crate) fn call_of_stop(&self) -> u8 {
         match self.stop_taken {
             _ if self.is_stopping => self.stop_call,
@@ -186,7 +190,7 @@ impl Truth {
         }
     }
 
-    /// Whether it is being told by itself what all were told to end motion, and was sent nothing since that moves it.
+    /// Whether it is being told separately what all were told to end motion, and was sent nothing since that moves it.
     pub(crate) fn is_told_for_all(&self, kind: StopKind) -> bool {
         let is_newer = |sent: u32| sent >> self.all_call != 0;
         self.all_call != 0
@@ -214,13 +218,13 @@ pub(crate) struct World {
     pub(crate) now: Instant,
     /// Since when the bus is cut, if it is.
     cut_at: Option<Instant>,
-    /// What was on its way to the drives came later than anybody waits for it.
+    /// A frame on its way to the drives came later than it may be waited for.
     pub(crate) was_cut: bool,
-    /// What is sent next on a line is heard by nobody.
+    /// No drive hears the next frame that is sent on a line.
     pub(crate) loses_next: bool,
     /// All were stopped, and that was not lifted.
     pub(crate) stops_all: bool,
-    /// The call that stopped all last: a stop to all at once is of that.
+    /// The call that stopped all last. A stop to all belongs to it.
     pub(crate) stop_all_call: u8,
     /// On their way to the drives.
     pub(crate) commands: Vec<Frame>,
@@ -228,17 +232,17 @@ pub(crate) struct World {
     pub(crate) replies: Vec<Frame>,
     /// One each: motors 1 and 2.
     pub(crate) truth: Vec<Truth>,
-    /// The call whose broadcast is under way.
+    /// The call whose broadcast is in flight.
     pub(crate) broadcast: Option<u8>,
-    /// So many calls were made; their numbers tell older from newer.
+    /// How many calls were made. Their numbers show which is older.
     pub(crate) calls: u8,
-    /// So many faults may still happen.
+    /// How many faults may still happen.
     pub(crate) faults_left: u8,
-    /// And one has.
+    /// Whether one has.
     pub(crate) had_fault: bool,
     /// The byte of the master's stop to all on a line.
     stopped_all_by: Option<u8>,
-    /// Commands that a drive heard or answered twice: nobody can tell their replies apart.
+    /// Commands that a drive heard or answered twice: their replies cannot be distinguished.
     doubled: u8,
     /// A drive's message that it has lost its master was lost.
     pub(crate) lost_master_untold: bool,
@@ -280,7 +284,7 @@ impl World {
         self.cut_at.map(|at| from_now(at, self.now, LONGEST_CUT)).hash(hasher);
     }
 
-    /// Whether one more fault may happen, which then has.
+    /// Whether one more fault may happen. If so, counts it.
     pub(crate) fn fault(&mut self) -> bool {
         let may = self.faults_left > 0;
         self.faults_left -= u8::from(may);
@@ -306,7 +310,7 @@ impl World {
         self.truth.get_mut(motor.index())
     }
 
-    /// Lets time pass, unless a frame would have to be through before. `false`: it may not.
+    /// Lets time pass, unless a frame would have to arrive before. `false` if it may not.
     pub(crate) fn pass(&mut self, until: Instant) -> bool {
         let patience = config(self.medium);
         if let Some(at) = self.cut_at {
@@ -314,7 +318,7 @@ impl World {
             if until > at + LONGEST_CUT || is_reply_too_late {
                 return false;
             }
-            // What is on its way to the drives waits for the end of that.
+            // Frames on their way to the drives wait for the end of that.
             self.now = self.now.max(until);
             return true;
         }
@@ -338,14 +342,14 @@ impl World {
         true
     }
 
-    /// The controller takes a frame, or it is sent on the line. `false`: it meets an answer there.
+    /// The controller takes a frame, or it is sent on the line. `false` if it collides with an answer there.
     pub(crate) fn send(&mut self, packet: Packet, call: u8) -> bool {
         let (sent, ready) = (self.now, self.now);
         self.commands.push(Frame { packet, call, sent, ready, is_late: false });
         if self.medium != Medium::Line {
             return true;
         }
-        // Of two that meet nothing is heard.
+        // Of two that collide nothing is heard.
         let under_way = self.replies.len();
         self.replies.retain(|reply| reply.ready <= self.now);
         let is_clear = self.replies.len() == under_way;
@@ -367,7 +371,7 @@ impl World {
         is_whole
     }
 
-    /// The bus is whole again, if it is cut: what waits to be sent has its time from now on.
+    /// The bus is mended, if it is cut. What waits to be sent has its time from now on.
     pub(crate) fn mend(&mut self) -> bool {
         let was_cut = self.cut_at.take().is_some();
         if was_cut {
@@ -389,13 +393,13 @@ impl World {
         Some(before.all(|other| urgency(&frame.packet) < urgency(&other.packet)))
     }
 
-    /// The drives hear this frame, so often.
+    /// The drives hear this frame, this many times.
     pub(crate) fn hear(&mut self, index: usize, times: u8) {
         let frame = self.commands.remove(index);
         if times > 1 {
             self.doubled |= bit_of(byte_of(&frame.packet));
         }
-        // Nobody waits for the answers to the master's stop to all on a line. If they come later than that keeps the
+        // The answers to the master's stop to all are not waited for on a line. If they come after it has released the
         // line, they are taken for those to the stops of one.
         if self.medium == Medium::Line && frame.motor().is_none() && call_of(&frame.packet) == 0 {
             self.stopped_all_by = Some(byte_of(&frame.packet));
@@ -462,12 +466,12 @@ impl World {
         self.replies.iter().position(|frame| frame.motor() == Some(motor_at(motor)))
     }
 
-    /// When this reply is there.
+    /// When this reply arrives.
     pub(crate) fn ready_at(&self, index: usize) -> Instant {
         self.replies.get(index).map_or(self.now, |frame| frame.ready)
     }
 
-    /// Takes a reply out; `again` leaves it in, to come once more.
+    /// Takes a reply out. With `again` it stays, to come once more.
     pub(crate) fn take_reply(&mut self, index: usize, again: bool) -> Packet {
         if again {
             let packet = self.replies[index].packet;

@@ -23,7 +23,7 @@ macro_rules! on_both_buses {
     };
 }
 
-/// How the drive does.
+/// The state of the drive.
 pub fn state(drive: &DriveHandle) -> State {
     drive.with(|drive| drive.state())
 }
@@ -33,7 +33,7 @@ pub fn turn_to(drive: &DriveHandle, degrees: f64) {
     drive.with(|drive| drive.plant_mut().set_output_angle_deg(degrees).expect("a finite angle"));
 }
 
-/// What happened in the drive since this was last asked.
+/// What happened in the drive since the last call.
 pub fn happened(drive: &DriveHandle) -> Vec<Event> {
     drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
 }

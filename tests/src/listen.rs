@@ -1,4 +1,4 @@
-//! A master that runs for a while and notes what it is told.
+//! A master that runs for a while and notes its events.
 
 use std::fmt::Debug;
 
@@ -6,7 +6,7 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::Event;
 use myactuator_protocol_core::time::{Duration, Instant};
 
-/// Runs the master until `until` and gives what it was told.
+/// Runs the master until `until`, and returns its events.
 pub fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
     master: &mut R,
     until: Instant,

@@ -1,11 +1,11 @@
-//! The list of what the manual asks for, as text and as a page of this documentation.
+//! The list of the manual's requirements, as text and as a page of this documentation.
 
 macro_rules! files {
     ($($file:literal)+) => {
         $(#[doc = include_str!(concat!("../manual/requirements/", $file, ".md"))])+
         pub mod page {}
 
-        /// The files of `manual/requirements/`, one behind the other.
+        /// The files of `manual/requirements/`, one after the other.
         pub const TEXT: &str =
             concat!($(include_str!(concat!("../manual/requirements/", $file, ".md")), "\n",)+);
     };

@@ -1,8 +1,8 @@
-//! Drives that tell the truth: light nodes for the simulated buses, and a ledger of what really
-//! happened on the wire and at the drives.
+//! Drives that tell the truth: light nodes for the simulated buses, and a ledger of what really happened on the wire
+//! and in the drives.
 //!
-//! Every command carries a token in bytes 4 to 7, and a node puts the token of the command that it
-//! answers in bytes 4 to 7 of its reply. So a reply says by itself which request it was made for.
+//! Every command carries a token in bytes 4 to 7, and a node copies the token of the command that it answers to bytes 4
+//! to 7 of its reply. So each reply shows to which request it belongs.
 
 use std::collections::{HashMap, VecDeque};
 use std::marker::PhantomData;
@@ -74,7 +74,7 @@ impl<C: Command> Command for WithToken<C> {
     }
 }
 
-/// The commands to one motor, as they were at one place: on the wire, or at the drive.
+/// The commands to one motor, as seen at one place: on the wire, or in the drive.
 #[derive(Clone, Debug, Default)]
 pub struct Seen {
     /// Commands with a reply, to this motor or to all.
@@ -89,7 +89,7 @@ pub struct Seen {
     pub stale: u64,
     /// When motion (set-points and moves) came last.
     pub last_motion: Option<Instant>,
-    /// When a stop came first after this was forgotten.
+    /// When the first stop came since this was cleared.
     pub first_stop: Option<Instant>,
     /// When a stop came last.
     pub last_stop: Option<Instant>,
@@ -170,13 +170,12 @@ fn has_reply(packet: &Packet) -> bool {
         || Opcode::from_byte(packet.data[0]).is_some_and(Opcode::has_reply)
 }
 
-/// A read of the status, or its answer: nobody asks for it here but the loop, which wants to know whether the adapter
-/// echoes.
+/// A read of the status, or its answer. Here only the loop reads it, to find out whether the adapter echoes.
 fn shows_echo(packet: &Packet) -> bool {
     !matches!(packet.channel, Channel::MotionReply(_)) && packet.data[0] == 0x9A
 }
 
-/// What moves is answered by feedback, never by its own bytes.
+/// What moves a motor is answered by feedback, never by its own bytes.
 fn moves(packet: &Packet) -> bool {
     Opcode::from_byte(packet.data[0]).is_some_and(|opcode| Kind::from(opcode).moves())
 }
@@ -314,17 +313,17 @@ impl<W: Wire> Rig<W> {
         Self { world, runner, port, nodes, ledger }
     }
 
-    /// So many answers of the first motor show that the adapter does not echo.
+    /// This many answers of the first motor show that the adapter does not echo.
     pub const SHOWN: u32 = 4;
 
-    /// They come, so that each acknowledgement counts from now on.
+    /// Gets them, so that each acknowledgement counts from now on.
     pub fn shows_no_echo(&mut self) {
         for _ in 0..Self::SHOWN {
             self.runner.ask(MotorId::MIN, ReadStatus1).expect("the bus is whole");
         }
     }
 
-    /// What goes wrong on the bus from now on, both ways.
+    /// Sets what goes wrong on the bus from now on, in both directions.
     pub fn strike(&self, plan: FaultPlan) {
         for direction in [Direction::ToNodes, Direction::ToPorts] {
             self.world.set_faults(direction, plan);
@@ -346,7 +345,7 @@ impl<W: Wire> Rig<W> {
         }
     }
 
-    /// Runs the master for so long, and hands over what it tells. Errors of the bus are passed over.
+    /// Runs the master for this long, and hands over its events. Errors of the bus are ignored.
     pub fn run_for(&mut self, span: Duration) -> Vec<master::Event> {
         let until = self.world.now() + span;
         let mut events = Vec::new();

@@ -11,7 +11,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 
 use crate::wire::Wire;
 
-/// So many microseconds after the world began.
+/// This many microseconds after the world began.
 pub const fn micros(at: u64) -> Instant {
     Instant::from_micros(at)
 }
@@ -26,7 +26,7 @@ pub struct Script<F> {
     mirrors: bool,
 }
 
-/// A hand on a script that is on a bus.
+/// A handle of a script that is on a bus.
 #[derive(Clone, Debug)]
 pub struct Hand<F>(Arc<Mutex<Script<F>>>);
 
@@ -91,7 +91,7 @@ pub trait Stage {
         hand
     }
 
-    /// Puts one on the bus that says nothing.
+    /// Puts one on the bus that sends nothing.
     fn silent(&self) -> StationId {
         self.put(&Hand::listening())
     }
@@ -110,7 +110,7 @@ impl<W: Wire> Stage for World<W> {
     }
 }
 
-/// A line at 1 Mbit/s, on which a byte lasts 10 µs, with a master's port and somebody who listens.
+/// A line at 1 Mbit/s, on which a byte lasts 10 µs, with a master's port and a listener.
 pub fn line(seed: u64) -> (SerialWorld, SerialPort, Hand<Vec<u8>>) {
     let world = Rs485Line::world(seed);
     let listener = world.listener();
@@ -125,7 +125,7 @@ pub fn late_by(delay: Duration) -> FaultPlan {
     FaultPlan { delay: 1.0, delay_min: delay, delay_max: delay, ..FaultPlan::NONE }
 }
 
-/// What was on the wire and came to nothing.
+/// What was on the wire and failed.
 pub fn broken<F>(records: &[Record<F>]) -> impl Iterator<Item = &Record<F>> {
     records.iter().filter(|record| matches!(record.event, Event::Broken { .. }))
 }

@@ -1,4 +1,4 @@
-//! Short ways to make values of which the test knows that they are in range.
+//! Short ways to make values that the test knows to be in range.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, ForcePosition, Speed, Torque};
@@ -45,17 +45,17 @@ pub fn push(current_a: f32) -> Torque {
     Torque { current: Current::from_amperes(current_a).unwrap() }
 }
 
-/// 0xA2: this speed, with all the torque that there is.
+/// 0xA2: this speed, with all available torque.
 pub fn turn(speed_dps: f32) -> Speed {
     Speed { max_torque: percent(0), speed: dps(speed_dps) }
 }
 
-/// 0xA4: to this angle, at this speed at the most.
+/// 0xA4: to this angle, at most at this speed.
 pub fn go_to(angle_deg: f32, max_dps: u16) -> AbsolutePosition {
     AbsolutePosition { max_speed: up_to(max_dps), angle: degrees(angle_deg) }
 }
 
-/// 0xA9: to this angle, with this part of the rated torque at the most.
+/// 0xA9: to this angle, with at most this part of the rated torque.
 pub fn grip_at(angle_deg: f32, percent_of_rated: u8) -> ForcePosition {
     ForcePosition {
         max_torque: percent(percent_of_rated),

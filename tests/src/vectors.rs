@@ -1,4 +1,4 @@
-//! The manual's example frames and section headings, as they lie in `vectors/`.
+//! The manual's example frames and section headings, from the files in `vectors/`.
 
 use std::collections::BTreeMap;
 
@@ -40,12 +40,12 @@ pub struct Row {
     pub fields: Map<String, Value>,
     /// The manual's explanation.
     pub text: String,
-    /// What print, text and tables disagree about.
+    /// Where print, text and tables disagree.
     pub misprint: Option<String>,
 }
 
 impl Row {
-    /// Whose frame it is.
+    /// The motor or motors of the frame.
     pub fn target(&self) -> Target {
         let Some(id) = self.id.as_u64() else {
             assert_eq!(self.id, "all", "{self}: id must be a number or \"all\"");
@@ -79,7 +79,7 @@ impl Row {
         hex(&self.frame).try_into().expect("13 bytes")
     }
 
-    /// The data bytes, whatever the bus.
+    /// The data bytes, on either bus.
     pub fn data(&self) -> Data {
         match self.bus {
             Bus::Can => self.can().1,
@@ -142,9 +142,9 @@ pub fn sections() -> BTreeMap<&'static str, &'static str> {
 /// A line below a heading in `kinds.txt`.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// The section that it stands in.
+    /// Its section.
     pub section: &'static str,
-    /// The kind that it is about.
+    /// Its kind.
     pub opcode: Opcode,
     /// The rest of the line.
     pub rest: &'static str,

@@ -40,7 +40,7 @@ pub struct Second {
     pub overruns: u32,
     /// Answered set-points of the motor with the fewest, in this second.
     pub slowest: u32,
-    /// Commands without a reply in time since the start.
+    /// Commands that got no reply in time since the motors began to run.
     pub lost: u32,
     /// The deepest stack since the start, in bytes.
     pub stack: u32,

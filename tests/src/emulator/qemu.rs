@@ -14,8 +14,8 @@ use super::{Failure, target_dir};
 const NAME: &str = "qemu-system-arm";
 
 /// Runs the emulator until its standard input is closed: it ends with this process, however that ends. Its standard
-/// output ends with it. It has priority over all ordinary processes, if that is allowed. It ignores Ctrl-C in a
-/// terminal.
+/// output ends with it. It has priority over all ordinary processes, if that is allowed. It leaves Ctrl-C in a terminal
+/// to others.
 const KEEPER: &str = r#"
     trap '' INT HUP TERM
     if chrt --rr 1 true 2>/dev/null; then set -- chrt --rr 1 "$@"; fi

@@ -11,7 +11,7 @@ use super::Failure;
 /// How long the emulator has for its start.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// One that nobody has connected to yet.
+/// A socket without a connection so far.
 #[derive(Debug)]
 pub(super) struct Waiting(UnixListener);
 
@@ -22,7 +22,7 @@ impl Waiting {
         Ok(Self(listener))
     }
 
-    /// The stream to whoever connects. Gives up if there is nobody any more who could.
+    /// The stream of the first connection. Gives up if the other side has ended.
     pub(super) fn connect(self, is_alive: impl Fn() -> bool) -> Result<UnixStream, Failure> {
         let start = Instant::now();
         while start.elapsed() < PATIENCE && is_alive() {

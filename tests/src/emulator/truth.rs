@@ -25,8 +25,8 @@ pub struct Look {
     pub at: Instant,
     /// True angle of the output shaft, degrees.
     pub angle_deg: f32,
-    /// True speed of the motor's side of the gear, in the output's degrees per second: what a drive can stop.
-    /// Behind it the output crosses the gear's play for a while yet.
+    /// True speed of the motor's side of the gear, in the output's degrees per second: what a drive can stop. After
+    /// that the output still crosses the gear's play for a while.
     pub motor_side_speed_dps: f32,
     /// Whether the drive's output is on.
     pub is_output_on: bool,
@@ -43,13 +43,13 @@ impl Look {
         })
     }
 
-    /// Whether the shaft stands still, but for the gear's play.
+    /// Whether the shaft stands still, except for the gear's play.
     pub fn is_still(&self) -> bool {
         self.motor_side_speed_dps.abs() < STILL_DPS
     }
 }
 
-/// Looks at all shafts again and again until it is dropped.
+/// Watches all shafts until it is dropped.
 #[derive(Debug)]
 pub struct Truth {
     looks: Arc<Mutex<Vec<Vec<Look>>>>,
@@ -88,10 +88,10 @@ impl Truth {
         all.iter().map(|looks| looks.iter().filter(within).copied().collect()).collect()
     }
 
-    /// How long after `since` each shaft still moved but for the gear's play, as far as it was seen.
+    /// How long after `since` each shaft still moved, except for the gear's play, as far as seen.
     ///
     /// # Panics
-    /// If nobody looks any more: then nothing would ever have moved.
+    /// If the watching has ended: then nothing would ever have moved.
     pub fn moved_for(&self, since: Instant) -> Vec<Duration> {
         self.check_observed();
         let all = self.between(since, Instant::from_micros(u64::MAX));
@@ -105,7 +105,7 @@ impl Truth {
     /// How fast each shaft was in the last tenth of a second, degrees per second, as a mean.
     ///
     /// # Panics
-    /// If nobody looks any more.
+    /// If the watching has ended.
     pub fn mean_dps(&self) -> Vec<f32> {
         self.check_observed();
         let all = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
@@ -114,7 +114,7 @@ impl Truth {
             let within = |look: &&Look| last.at - look.at <= MEAN_OVER.into();
             let first = looks.iter().rev().take_while(within).last()?;
             let seconds = Duration::from(last.at - first.at).as_secs_f32();
-            // Nothing yet, where there is one look only.
+            // Nothing yet if there was only one look.
             (seconds > 0.0).then(|| (last.angle_deg - first.angle_deg) / seconds)
         };
         all.iter().map(|looks| mean(looks).unwrap_or(0.0)).collect()
@@ -141,7 +141,7 @@ impl Drop for Truth {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::Relaxed);
         if let Some(observer) = self.observer.take() {
-            // A panic there has been told already.
+            // A panic there has been reported already.
             let _ = observer.join();
         }
     }

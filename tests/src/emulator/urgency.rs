@@ -1,8 +1,7 @@
-//! Real-time scheduling, where the system grants it, and what is left of the processor where others want
-//! it, too.
+//! Real-time scheduling, if the system grants it, and how often the processor was busy with other work.
 //!
-//! Emulator and simulation have to answer each other within a millisecond, and both are threads among
-//! others, on a machine that may be a guest among others.
+//! Emulator and simulation have to answer each other within a millisecond. Both are threads among others, on a machine
+//! that may itself be a guest.
 
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -12,14 +11,13 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 
-/// A thread that wakes so late was kept waiting.
+/// A thread that wakes this late was kept waiting.
 const LATE: Duration = Duration::from_millis(15);
-/// A master asks the next time when no reply has come for so long, so that a wait costs one reply for each
-/// of these, and one for what is left.
+/// A master tries again when no reply has come for this long. So a wait costs one reply for each of these, and one for
+/// the rest.
 pub(super) const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
 
-/// Puts this thread before all ordinary ones, if that is allowed. What it starts from now on is
-/// ordinary.
+/// Gives this thread priority over all ordinary ones, if that is allowed. What it starts from now on is ordinary.
 pub(super) fn take() {
     let changed = Command::new("chrt")
         .args(["--reset-on-fork", "--rr", "--pid", "1"])
@@ -32,8 +30,8 @@ pub(super) fn take() {
     drop(changed);
 }
 
-/// Counts how often threads were kept waiting by what else the machine does, one on each processor. Ends
-/// when it is dropped.
+/// Counts how often threads were kept waiting by the machine's other work, with one thread on each processor. Ends when
+/// it is dropped.
 #[derive(Debug)]
 pub struct Stalls {
     found: Arc<Found>,
@@ -60,7 +58,7 @@ impl Stalls {
         Self { observers: processors.map(observer).collect(), found }
     }
 
-    /// How many replies may have come too late for that so far.
+    /// How many replies may have come too late because of that so far.
     pub fn excused(&self) -> usize {
         self.found.excused.load(Ordering::Relaxed)
     }
@@ -75,7 +73,7 @@ impl Found {
     fn observe(&self, processor: usize) {
         let mut alone = CpuSet::new();
         alone.set(processor);
-        // Where that is not allowed, it observes whatever it runs on.
+        // If that is not allowed, it observes whatever processor it runs on.
         let _ = sched_setaffinity(None, &alone);
         take();
         let pause = Duration::from_millis(1);
@@ -96,7 +94,7 @@ impl Drop for Stalls {
     fn drop(&mut self) {
         self.found.is_over.store(true, Ordering::Relaxed);
         for observer in self.observers.drain(..) {
-            // A panic there has been told already.
+            // A panic there has been reported already.
             let _ = observer.join();
         }
     }
