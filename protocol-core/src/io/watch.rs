@@ -8,6 +8,9 @@ use crate::master::{Event, Master, MotorSet};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
+/// How many times the longest silence a question may stay unanswered.
+const LONGEST_UNANSWERED: u32 = 10;
+
 /// What is wrong: the motors should be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -34,6 +37,12 @@ pub enum Trouble {
     /// The drive has [lost its master](Event::LostMaster) and has stopped on its own.
     #[error("motor {0} has heard nothing for longer than its protection (0xB3) allows")]
     LostMaster(MotorId),
+    /// A question of the watch had no answer for ten times [`Watch::longest_silence`], so the state of the motor is not
+    /// known. Or its answer was not [noted](Watch::note), or the motor was busy at every look.
+    #[error(
+        "motor {0} gives feedback, but no answer to the question for its errors or its run time was noted"
+    )]
+    Unanswered(MotorId),
 }
 
 /// Why a control loop has ended. Both kinds of errors become one by `?`.
@@ -84,10 +93,12 @@ pub struct Watch {
     begun: Instant,
     /// When it looked last.
     looked: Instant,
-    /// When the next question is due.
+    /// When the next question may be put.
     next: Instant,
-    /// Counts the questions: one to each motor, then the other one to each.
+    /// Counts the answers to the questions: one of each motor, then the other one of each.
     turn: usize,
+    /// Since when the present question could be put.
+    due: Instant,
     trouble: Option<Trouble>,
 }
 
@@ -102,6 +113,7 @@ impl Watch {
             looked: now,
             next: now,
             turn: 0,
+            due: now,
             trouble: None,
         }
     }
@@ -148,42 +160,58 @@ impl Watch {
                 return Err(Trouble::Silent(motor));
             }
         }
-        if now >= self.next {
-            self.next = now + self.ask_every;
-            self.ask(master);
+        if let Some((motor, question)) = self.question() {
+            if now - self.due > self.longest_silence.times(LONGEST_UNANSWERED) {
+                return Err(Trouble::Unanswered(motor));
+            }
+            if now >= self.next {
+                // The answer comes as an event. While the motor is busy, also with this, it is tried at each look.
+                let asked = match question {
+                    Opcode::ReadStatus1 => master.request(motor, ReadStatus1).is_ok(),
+                    _ => master.request(motor, ReadRunTime).is_ok(),
+                };
+                if asked {
+                    self.next = now + self.ask_every;
+                }
+            }
         }
         Ok(())
     }
 
-    fn ask<const N: usize>(&mut self, master: &mut Master<N>) {
-        let (motors, turn) = (self.motors.len(), self.turn);
-        let Some(motor) = self.motors.iter().cycle().nth(turn) else { return };
-        self.turn = (turn + 1) % (2 * motors);
-        // The answers come as events. A motor that is busy is asked in its next turn.
-        let _ = match turn < motors {
-            true => master.request(motor, ReadStatus1).map(|ticket| ticket.id()),
-            false => master.request(motor, ReadRunTime).map(|ticket| ticket.id()),
-        };
+    /// What is to be asked: 0x9A or 0xB1.
+    fn question(&self) -> Option<(MotorId, Opcode)> {
+        let is_for_errors = self.turn < self.motors.len();
+        let question = if is_for_errors { Opcode::ReadStatus1 } else { Opcode::ReadRunTime };
+        Some((self.motors.iter().cycle().nth(self.turn)?, question))
     }
 
     /// Takes note of an event. Call it with each one.
     pub fn note(&mut self, event: &Event) {
-        let (motor, trouble) = match *event {
-            Event::LostMaster { motor } => (motor, Trouble::LostMaster(motor)),
-            Event::Report { motor, reply: AnyReply::ReadStatus1(Status1 { errors, .. }) } => {
-                (motor, Trouble::Errors { motor, errors })
+        let errors_of = |motor, Status1 { errors, .. }| {
+            let trouble = (!errors.is_empty()).then_some(Trouble::Errors { motor, errors });
+            (motor, Some(Opcode::ReadStatus1), trouble)
+        };
+        // No matter who has asked, or whether anyone has. The master keeps what a run time says of a restart.
+        let (motor, answer, trouble) = match *event {
+            Event::LostMaster { motor } => (motor, None, Some(Trouble::LostMaster(motor))),
+            Event::Report { motor, reply: AnyReply::ReadStatus1(status) }
+            | Event::BroadcastReply { motor, reply: AnyReply::ReadStatus1(status) } => {
+                errors_of(motor, status)
             }
-            // No matter which question this answers: the watch's or another's.
-            Event::Reply { ticket, kind: Kind::Known(Opcode::ReadStatus1), data } => {
-                let Ok(Status1 { errors, .. }) = ReadStatus1::decode_reply(&data) else { return };
-                (ticket.motor(), Trouble::Errors { motor: ticket.motor(), errors })
+            Event::Reply { ticket, kind: Kind::Known(opcode), data } => {
+                match ReadStatus1::decode_reply(&data) {
+                    Ok(status) => errors_of(ticket.motor(), status),
+                    Err(_) => (ticket.motor(), Some(opcode), None),
+                }
             }
-            // The master keeps what the run time says of a restart.
             _ => return,
         };
-        let is_none = matches!(trouble, Trouble::Errors { errors, .. } if errors.is_empty());
-        if self.motors.contains(motor) && !is_none {
-            self.trouble.get_or_insert(trouble);
+        if answer.is_some_and(|answer| self.question() == Some((motor, answer))) {
+            self.turn = (self.turn + 1) % (2 * self.motors.len());
+            self.due = self.next.max(self.looked);
+        }
+        if self.motors.contains(motor) {
+            self.trouble = self.trouble.or(trouble);
         }
     }
 }

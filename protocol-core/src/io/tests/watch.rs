@@ -15,6 +15,7 @@ use crate::wire::can::Received;
 /// 25 °C, 48.5 V; the second has stalled.
 const HEALTHY: Data = [0x9A, 25, 25, 0, 0xE5, 0x01, 0, 0];
 const STALLED: Data = [0x9A, 25, 25, 0, 0xE5, 0x01, 0x02, 0];
+const RUN_FOR_70_S: Data = [0xB1, 0, 0, 0, 0x70, 0x11, 0x01, 0];
 
 /// A watch over motors 1 and 2, of which nothing is heard unless it is said here.
 struct Bench {
@@ -73,21 +74,79 @@ fn each_is_asked_for_its_errors_and_then_for_its_run_time() {
         bench.look(ms(now)).unwrap();
         for (motor, byte) in bench.sent(ms(now)) {
             sent.push((now, motor, byte));
-            let run_for_70_s = [0xB1, 0, 0, 0, 0x70, 0x11, 0x01, 0];
-            bench.hear(motor, if byte == 0x9A { HEALTHY } else { run_for_70_s }, ms(now + 1));
+            bench.hear(motor, if byte == 0x9A { HEALTHY } else { RUN_FOR_70_S }, ms(now + 1));
         }
     }
     let expected = [(0, 1, 0x9A), (10, 2, 0x9A), (20, 1, 0xB1), (30, 2, 0xB1), (40, 1, 0x9A)];
     assert_eq!(sent, expected);
 }
 
+/// An adapter may keep each answer for longer than the time between two questions.
 #[test]
-fn who_is_busy_is_passed_over() {
+fn one_question_is_asked_at_a_time_and_none_is_left_out() {
     let mut bench = Bench::new();
-    let _ = bench.master.request(id(1), ReadModel).unwrap();
+    let mut sent = Vec::new();
+    let mut answer = None;
+    for now in 0..80 {
+        if let Some((motor, data, 0)) = answer {
+            bench.hear(motor, data, ms(now));
+        }
+        answer = answer.map(|(motor, data, wait)| (motor, data, wait - 1)).filter(|it| it.2 >= 0);
+        bench.look(ms(now)).unwrap();
+        for (motor, byte) in bench.sent(ms(now)) {
+            sent.push((now, motor, byte));
+            answer = Some((motor, if byte == 0x9A { HEALTHY } else { RUN_FOR_70_S }, 15));
+        }
+    }
+    let expected = [(0, 1, 0x9A), (16, 2, 0x9A), (32, 1, 0xB1), (48, 2, 0xB1), (64, 1, 0x9A)];
+    assert_eq!(sent, expected);
+}
+
+#[test]
+fn who_is_busy_is_asked_next() {
+    let mut bench = Bench::new();
+    let model = bench.master.request(id(1), ReadModel).unwrap();
     bench.look(ms(0)).unwrap();
     bench.look(ms(10)).unwrap();
-    assert_eq!(bench.sent(ms(10)), [(1, 0xB5), (2, 0x9A)]);
+    assert_eq!(bench.sent(ms(10)), [(1, 0xB5)]);
+    bench.hear(1, [0xB5, b'X', b'8', b'S', b'2', b'V', b'1', b'0'], ms(11));
+    bench.look(ms(11)).unwrap();
+    assert_eq!(bench.sent(ms(11)), [(1, 0x9A)]);
+    bench.hear(1, HEALTHY, ms(12));
+    bench.look(ms(20)).unwrap();
+    bench.look(ms(21)).unwrap();
+    assert_eq!(bench.sent(ms(21)), [(2, 0x9A)], "{model:?}");
+}
+
+/// A question is put every 10 ms from 0 on; the fourth is that for the run time of motor 2.
+#[test]
+fn an_answer_that_is_not_noted_for_longer_than_1_s_is_told() {
+    for (answered, last_motor, until) in [(0, 1, 1_000), (3, 2, 1_030), (4, 1, 1_040)] {
+        let mut bench = Bench::new();
+        let mut answers = 0;
+        let mut cycle = |bench: &mut Bench, now| {
+            let looked = bench.look(ms(now));
+            for motor in [1, 2] {
+                bench.master.set_point(id(motor), torque(), ms(now)).unwrap();
+            }
+            for at in [now, now + 2] {
+                for (motor, byte) in bench.sent(ms(at)) {
+                    let reply = match byte {
+                        0xA1 => [0xA1, 25, 0, 0, 0, 0, 0, 0],
+                        _ if answers >= answered => continue,
+                        0x9A => HEALTHY,
+                        _ => RUN_FOR_70_S,
+                    };
+                    answers += u8::from(byte != 0xA1);
+                    bench.hear(motor, reply, ms(at + 1));
+                }
+            }
+            looked
+        };
+        (0..=until).step_by(10).for_each(|now| cycle(&mut bench, now).unwrap());
+        let unanswered = Err(Trouble::Unanswered(id(last_motor)));
+        assert_eq!(cycle(&mut bench, until + 10), unanswered, "{answered}");
+    }
 }
 
 #[test]
@@ -114,6 +173,16 @@ fn a_status_without_an_error_and_errors_of_others_are_no_trouble() {
     bench.hear(3, STALLED, ms(1));
     bench.hear(3, lost_master(), ms(1));
     assert_eq!(bench.look(ms(2)), Ok(()));
+}
+
+#[test]
+fn an_error_is_noted_when_all_were_asked_at_once() {
+    let mut bench = Bench::new();
+    bench.master.broadcast(ReadStatus1, id(1).into()).unwrap();
+    bench.sent(ms(0));
+    bench.hear(1, STALLED, ms(1));
+    let stalled = Trouble::Errors { motor: id(1), errors: ErrorFlags::STALL };
+    assert_eq!(bench.look(ms(2)), Err(stalled));
 }
 
 /// 0xF1 and zeros, as a drive says it by itself.
@@ -186,8 +255,10 @@ fn a_caller_says_how_long_and_how_often() {
     let time = Duration::from_millis;
     bench.watch = bench.watch.clone().longest_silence(time(300)).ask_every(time(25));
     assert_eq!(bench.look(ms(0)), Ok(()));
+    assert_eq!(bench.sent(ms(0)), [(1, 0x9A)]);
+    bench.hear(1, HEALTHY, ms(1));
     bench.look(ms(24)).unwrap();
-    assert_eq!(bench.sent(ms(24)), [(1, 0x9A)]);
+    assert_eq!(bench.sent(ms(24)), []);
     bench.look(ms(25)).unwrap();
     assert_eq!(bench.sent(ms(25)), [(2, 0x9A)]);
     assert_eq!(bench.look(ms(300)), Ok(()));
