@@ -29,7 +29,7 @@ pub(super) struct Arguments {
     /// Files hold raw RS485 bytes, not text.
     #[arg(long)]
     binary: bool,
-    /// Which way the frames went; needed where their bytes do not say (RS485, and bus id on CAN).
+    /// Which way frames went whose bytes do not say it (RS485, and bus id on CAN).
     #[arg(long, value_parser = names::direction(), value_name = "WAY")]
     direction: Option<FrameDirection>,
     #[command(flatten)]

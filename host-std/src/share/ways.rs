@@ -85,8 +85,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Locks the brake of a motor that stands, and waits until it has had the time to lock, as
     /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
-    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses such set-points. It also refuses
-    /// to open a brake that slips again: [lift](Self::lift_stop_of) the stop before that.
+    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses such set-points. If the
+    /// brake slips, it also refuses to open it again: [lift](Self::lift_stop_of) the stop before that.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -117,8 +117,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Restarts a drive (0x76), which also clears errors whose cause is gone, and waits until it answers, as
-    /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. No other thread may move the motor
-    /// meanwhile. After the restart all threads are refused what moves it. Read its angle, since whole turns may be
+    /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. From before this call on, let no
+    /// other thread move the motor. After the restart all threads are refused what moves it. Read its angle, since whole turns may be
     /// lost, [`resume`](Self::resume), and open its brake again.
     ///
     /// ```
