@@ -118,8 +118,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Restarts a drive (0x76), which also clears errors whose cause is gone, and waits until it answers, as
     /// [`bring_up::restart`](myactuator_protocol_core::io::bring_up::restart) does. From before this call on, let no
-    /// other thread move the motor. After the restart all threads are refused what moves it. Read its angle, since whole turns may be
-    /// lost, [`resume`](Self::resume), and open its brake again.
+    /// other thread move the motor. After the restart all threads are refused what moves it. Read its angle, since
+    /// whole turns may be lost, [`resume`](Self::resume), and open its brake again.
     ///
     /// ```
     /// # use myactuator_host_std::open::BusAddress;
