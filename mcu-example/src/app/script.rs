@@ -279,6 +279,12 @@ impl Script {
         }
     }
 
+    /// Asks a motor nothing more.
+    pub(super) fn leave_out(&mut self, motor: MotorId) {
+        self.left.remove(motor);
+        self.next = 0;
+    }
+
     /// Returns the answer if the event brings it. If anything is wrong with a motor, it is asked nothing more.
     pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
         let asked = self.asked?;
@@ -287,8 +293,7 @@ impl Script {
         self.next += 1;
         let is_amiss = matches!(answer, Answer::None | Answer::Errors(_) | Answer::Turns);
         if is_amiss || self.next == self.part.questions().len() {
-            self.left.remove(asked.motor());
-            self.next = 0;
+            self.leave_out(asked.motor());
         }
         Some((asked.motor(), answer))
     }

@@ -35,7 +35,7 @@ impl<const N: usize> App<N> {
         let is_error = matches!(trouble, Trouble::Errors { .. });
         let goes_on = match self.state {
             State::Stopping { .. } | State::Stopped { .. } => true,
-            // Nothing else keeps motors that turn from being told to hold again.
+            // Whatever else is wrong, motors that turn are told to hold again first.
             State::Looking { .. } => {
                 !matches!(trouble, Trouble::Turns { .. } | Trouble::Refused { .. })
             }
@@ -59,6 +59,8 @@ impl<const N: usize> App<N> {
                 State::ShuttingDown { turning, .. } | State::Looking { turning, .. },
                 Trouble::Turns { motor },
             ) => turning.insert(motor),
+            // The others are checked all the same.
+            (State::Looking { script, .. }, Trouble::Refused { motor }) => script.leave_out(motor),
             // If a brake is not locked, off is no stop. If a locked brake slips, holding is none either.
             (State::ShuttingDown { script, .. }, _) => {
                 self.shows_at = script.shows_at(at.now);

@@ -3,9 +3,13 @@
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_mcu_example::{Moment, Report, Setup, StateName, Trouble};
-use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
+use myactuator_protocol_core::Opcode;
+use myactuator_protocol_core::command::{
+    ActiveReply, BrakeCommand, ErrorFlags, ReportedCommand, Switch,
+};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::units::ReportInterval;
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
@@ -21,6 +25,7 @@ on_both_buses! {
     who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again
     what_is_held_again_is_held_on_when_another_confirms_late
     a_press_that_is_under_way_when_something_falls_starts_nothing
+    a_motor_that_is_not_asked_keeps_no_other_from_being_held_again
     a_product_that_stops_by_switching_off_holds_nothing
 }
 
@@ -202,6 +207,29 @@ fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     firmware.panel.is_button_down = false;
     firmware.stays_stopped();
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Finding)), 0);
+}
+
+/// Nobody can ask it whether its shaft stands, since it reports that on its own (0xB6).
+fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    let master = firmware.runner.master();
+    master.lift_stop();
+    let (command, enable) = (ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On);
+    let report = ActiveReply { command, enable, interval: ReportInterval::from_raw(2) };
+    let reports = master.request(id(3), report).is_ok();
+    firmware.run_for(millis(5));
+    break_off(&mut firmware);
+    firmware.run_for(millis(1_000));
+    let told = firmware.troubles();
+    assert_eq!(told.contains(&Trouble::Refused { motor: id(3) }), reports, "{told:?}");
+    assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{told:?}");
+    assert!(!is_off(&bus.drives[1]));
+    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 30.0);
+    firmware.stays_stopped();
 }
 
 /// Also if it stops by switching off.
