@@ -414,8 +414,10 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 /// - After a longer pause the motor may answer and not obey until it is spoken to steadily again (2.31.1). Its brake
 ///   has locked by then, and torque and motion commands do not open it: [release](release_brake) it again.
 /// - A load falls until the brake holds: [lock](lock_brake) it before you fall silent on purpose.
-/// - The functions here that wait speak to their own motor and to no other; [`move_to`] does so every 20 ms. Below
-///   50 ms the protection may end a move.
+/// - The functions here that wait speak to their own motor and to no other. Meanwhile another motor may let go because
+///   its time is up, and they do not report that. So if several motors hold loads, switch the protection off in all
+///   before you call them, and set it again last. A stop in force refuses both.
+/// - [`move_to`] speaks to its motor every 20 ms. Below 50 ms the protection may end a move.
 ///
 /// # Errors
 /// [`CallError`].
