@@ -191,6 +191,7 @@ impl Fleet {
 
     /// Keeps the memories of the drives in this folder, so that they outlive the process. For each drive there is a
     /// file with its settings and a file with the place of its shaft, named by the id that it starts with.
+    /// The folder must exist: a drive that cannot store a setting does not answer the command that writes it.
     #[must_use]
     pub fn memory_folder(mut self, folder: impl Into<PathBuf>) -> Self {
         self.memory_folder = Some(folder.into());
