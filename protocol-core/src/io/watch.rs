@@ -34,8 +34,10 @@ pub enum Trouble {
     /// The drive has [restarted](Event::Restarted): its turns may be lost.
     #[error("motor {0} has restarted, and its turns may be lost: read its angle, then resume it")]
     Restarted(MotorId),
-    /// The drive has [lost its master](Event::LostMaster) and has stopped on its own.
-    #[error("motor {0} has heard nothing for longer than its protection (0xB3) allows")]
+    /// The drive has [lost its master](Event::LostMaster): it has cut its output, and locked its brake if it has one.
+    #[error(
+        "motor {0} has cut its output: it had heard nothing for longer than its protection allows"
+    )]
     LostMaster(MotorId),
     /// A question of the watch had no answer for ten times [`Watch::longest_silence`], so the state of the motor is not
     /// known. Or its answer was not [noted](Watch::note), or the motor was busy at every look.
@@ -62,7 +64,7 @@ pub enum LoopError<E> {
 ///
 /// Feedback alone does not show everything. A drive that has cut its output because of an error goes on sending
 /// feedback. A drive whose supply fails only for a moment comes back with its turns lost. So a watch asks the motors in
-/// turn for their errors (0x9A) and their run time (0xB1), one question every [`ask_every`](Self::ask_every).
+/// turn for their errors (0x9A) and their run time (0xB1): one question at a time, each until its answer is noted.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::SetPoint;
@@ -85,6 +87,9 @@ pub enum LoopError<E> {
 /// ```
 ///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
+///
+/// Make a new watch when the set of motors changes, for example because one of them is stopped, and when the loop goes on
+/// after a stop. Two watches may share a bus: pass each event to both.
 #[derive(Clone, Debug)]
 pub struct Watch {
     motors: MotorSet,
@@ -119,15 +124,23 @@ impl Watch {
     }
 
     /// How long a motor may give no feedback, and the loop may be held up; 100 ms unless said otherwise.
+    ///
+    /// On CAN at 1 Mbit/s that outlasts a few lost frames: a lost frame keeps the next one back for up to the
+    /// [reply time-out](crate::master::Config::reply_timeout). Elsewhere it would end healthy loops. Allow several times
+    /// that time-out, which is longer at lower bit rates; and with an adapter that delivers in bursts, several bursts
+    /// on CAN, and on RS485 several for each motor. Or make the adapter faster.
     #[must_use]
     pub const fn longest_silence(mut self, time: Duration) -> Self {
         self.longest_silence = time;
         self
     }
 
-    /// How often a motor is asked; every 10 ms unless said otherwise. Each question takes a turn on the bus. With the
-    /// default each of eight motors is asked for its errors every 160 ms. For a larger arm on CAN let the drives report
-    /// errors ([function 3](crate::command::FunctionControl::ErrorReporting)), which [`note`](Self::note) takes, too.
+    /// The shortest time between two questions; 10 ms unless said otherwise. The next question is not asked before the
+    /// last was answered. Each takes the place of one set-point of its motor.
+    ///
+    /// With the default each of eight motors is asked for its errors every 160 ms. With more motors or a slow adapter it
+    /// takes longer. Then let the drives of a CAN bus report errors
+    /// ([function 3](crate::command::FunctionControl::ErrorReporting)), which [`note`](Self::note) takes, too.
     #[must_use]
     pub const fn ask_every(mut self, time: Duration) -> Self {
         self.ask_every = time;
@@ -135,7 +148,7 @@ impl Watch {
     }
 
     /// Reports what is wrong, and asks the next question when it is due. Call it once a cycle, after the events of the
-    /// last cycle were [noted](Self::note).
+    /// last cycle were [noted](Self::note), and before you ask anything yourself: a motor that is busy is not asked.
     ///
     /// # Errors
     /// [`Trouble`], the first that was noted.
@@ -155,6 +168,10 @@ impl Watch {
             if master.has_restarted(motor) {
                 return Err(Trouble::Restarted(motor));
             }
+            // It was told before this watch, or to a call that waited.
+            if master.has_lost_master(motor) {
+                return Err(Trouble::LostMaster(motor));
+            }
             let heard = master.latest_feedback(motor).map_or(self.begun, |(_, at)| at);
             if now - heard.max(self.begun) > self.longest_silence {
                 return Err(Trouble::Silent(motor));
@@ -165,7 +182,7 @@ impl Watch {
                 return Err(Trouble::Unanswered(motor));
             }
             if now >= self.next {
-                // The answer comes as an event. While the motor is busy, also with this, it is tried at each look.
+                // The answer comes as an event. While the motor is busy, also with this, it is asked at each look.
                 let asked = match question {
                     Opcode::ReadStatus1 => master.request(motor, ReadStatus1).is_ok(),
                     _ => master.request(motor, ReadRunTime).is_ok(),
@@ -185,7 +202,8 @@ impl Watch {
         Some((self.motors.iter().cycle().nth(self.turn)?, question))
     }
 
-    /// Takes note of an event. Call it with each one.
+    /// Takes note of an event. Call it with each one. A call that waits, such as
+    /// [`ask`](crate::io::Runner::ask), drops those of others: an answer that it drops is asked for again.
     pub fn note(&mut self, event: &Event) {
         let errors_of = |motor, Status1 { errors, .. }| {
             let trouble = (!errors.is_empty()).then_some(Trouble::Errors { motor, errors });

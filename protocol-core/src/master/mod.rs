@@ -348,6 +348,11 @@ impl<const N: usize> Master<N> {
         self.motor(motor)?.latest
     }
 
+    /// Whether a motor has [lost its master](Event::LostMaster), and has answered nothing sent since.
+    pub(crate) const fn has_lost_master(&self, motor: MotorId) -> bool {
+        self.lost_master.contains(motor)
+    }
+
     /// The current reply time-out (see [`Config::longest_reply_timeout`]) with this many attempts, 1 to 15.
     pub fn patience(&self, attempts: u8) -> Patience {
         Patience { reply_timeout: self.config.reply_timeout, attempts }

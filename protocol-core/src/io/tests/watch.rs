@@ -54,6 +54,27 @@ impl Bench {
         events.iter().for_each(|event| self.watch.note(event));
     }
 
+    /// A look, then a set-point to each motor, with feedback. So many questions are answered.
+    fn cycle(&mut self, now: u64, answers: &mut u8) -> Result<(), Trouble> {
+        let looked = self.look(ms(now));
+        for motor in [1, 2] {
+            self.master.set_point(id(motor), torque(), ms(now)).unwrap();
+        }
+        for at in [now, now + 2] {
+            for (motor, byte) in self.sent(ms(at)) {
+                let reply = match (byte, *answers) {
+                    (0xA1, _) => [0xA1, 25, 0, 0, 0, 0, 0, 0],
+                    (_, 0) => continue,
+                    (0x9A, _) => HEALTHY,
+                    _ => RUN_FOR_70_S,
+                };
+                *answers -= u8::from(byte != 0xA1);
+                self.hear(motor, reply, ms(at + 1));
+            }
+        }
+        looked
+    }
+
     /// A motor gets a set-point, and gives feedback a millisecond later.
     fn moves(&mut self, motor: u8, now: Instant) {
         self.master.set_point(id(motor), torque(), now).unwrap();
@@ -109,11 +130,14 @@ fn who_is_busy_is_asked_next() {
     bench.look(ms(0)).unwrap();
     bench.look(ms(10)).unwrap();
     assert_eq!(bench.sent(ms(10)), [(1, 0xB5)]);
+    // What another says is no answer of this one.
+    bench.hear(2, HEALTHY, ms(10));
     bench.hear(1, [0xB5, b'X', b'8', b'S', b'2', b'V', b'1', b'0'], ms(11));
     bench.look(ms(11)).unwrap();
     assert_eq!(bench.sent(ms(11)), [(1, 0x9A)]);
     bench.hear(1, HEALTHY, ms(12));
     bench.look(ms(20)).unwrap();
+    assert_eq!(bench.sent(ms(20)), []);
     bench.look(ms(21)).unwrap();
     assert_eq!(bench.sent(ms(21)), [(2, 0x9A)], "{model:?}");
 }
@@ -121,32 +145,22 @@ fn who_is_busy_is_asked_next() {
 /// A question is put every 10 ms from 0 on; the fourth is that for the run time of motor 2.
 #[test]
 fn an_answer_that_is_not_noted_for_longer_than_1_s_is_told() {
-    for (answered, last_motor, until) in [(0, 1, 1_000), (3, 2, 1_030), (4, 1, 1_040)] {
-        let mut bench = Bench::new();
-        let mut answers = 0;
-        let mut cycle = |bench: &mut Bench, now| {
-            let looked = bench.look(ms(now));
-            for motor in [1, 2] {
-                bench.master.set_point(id(motor), torque(), ms(now)).unwrap();
-            }
-            for at in [now, now + 2] {
-                for (motor, byte) in bench.sent(ms(at)) {
-                    let reply = match byte {
-                        0xA1 => [0xA1, 25, 0, 0, 0, 0, 0, 0],
-                        _ if answers >= answered => continue,
-                        0x9A => HEALTHY,
-                        _ => RUN_FOR_70_S,
-                    };
-                    answers += u8::from(byte != 0xA1);
-                    bench.hear(motor, reply, ms(at + 1));
-                }
-            }
-            looked
-        };
-        (0..=until).step_by(10).for_each(|now| cycle(&mut bench, now).unwrap());
-        let unanswered = Err(Trouble::Unanswered(id(last_motor)));
-        assert_eq!(cycle(&mut bench, until + 10), unanswered, "{answered}");
+    for (answered, motor, until) in [(0, 1, 1_000), (3, 2, 1_030), (4, 1, 1_040)] {
+        let (mut bench, mut answers) = (Bench::new(), answered);
+        (0..=until).step_by(10).for_each(|now| bench.cycle(now, &mut answers).unwrap());
+        let unanswered = Err(Trouble::Unanswered(id(motor)));
+        assert_eq!(bench.cycle(until + 10, &mut answers), unanswered, "{answered}");
     }
+}
+
+#[test]
+fn an_answer_that_was_late_leaves_as_much_time_for_the_next() {
+    let (mut bench, mut answers) = (Bench::new(), 0);
+    (0..900).step_by(10).for_each(|now| bench.cycle(now, &mut answers).unwrap());
+    answers = 1;
+    (900..=1_900).step_by(10).for_each(|now| bench.cycle(now, &mut answers).unwrap());
+    let outcome = (1_910..=2_000).step_by(10).try_for_each(|now| bench.cycle(now, &mut answers));
+    assert_eq!((outcome, answers), (Err(Trouble::Unanswered(id(2))), 0));
 }
 
 #[test]
@@ -188,6 +202,20 @@ fn an_error_is_noted_when_all_were_asked_at_once() {
 /// 0xF1 and zeros, as a drive says it by itself.
 fn lost_master() -> Data {
     [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0]
+}
+
+/// Its output is cut, and its brake locked.
+#[test]
+fn who_has_lost_its_master_before_the_watch_or_in_a_call_is_told_until_it_obeys() {
+    let mut bench = Bench::new();
+    bench.hear(2, HEALTHY, ms(0));
+    bench.hear(2, lost_master(), ms(1));
+    bench.watch = Watch::new(id(2).into(), ms(2));
+    for _ in 0..2 {
+        assert_eq!(bench.look(ms(2)), Err(Trouble::LostMaster(id(2))));
+    }
+    bench.moves(2, ms(3));
+    assert_eq!(bench.look(ms(5)), Ok(()));
 }
 
 #[test]
