@@ -226,9 +226,9 @@ impl<const N: usize> App<N> {
                             at.master.lift_stop();
                         }
                     }
-                    None if is_any_turning => self.stop(StopKind::Hold, at),
                     None => {
                         let kind = match self.state {
+                            _ if is_any_turning => StopKind::Hold,
                             State::Looking { kind, .. } => kind,
                             _ => StopKind::Off,
                         };

@@ -43,10 +43,9 @@ impl<const N: usize> App<N> {
             State::ShuttingDown { .. } => is_error,
             _ => false,
         };
-        if goes_on && !is_error {
-            return;
+        if is_error || !goes_on {
+            at.board.log(&Report::Trouble(trouble));
         }
-        at.board.log(&Report::Trouble(trouble));
         if goes_on {
             return;
         }

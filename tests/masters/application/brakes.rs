@@ -181,6 +181,14 @@ pub(super) fn fallen_deg<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64]) -> Vec
     bus.drives.iter().zip(before_deg).map(|(drive, before)| before - angle_deg(drive)).collect()
 }
 
+/// No shaft turns from now on, and nothing more is reported.
+#[track_caller]
+pub(super) fn stays_held<B: Moved>(firmware: &mut Firmware<'_, B>, bus: &BusFleet<B>) {
+    let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+    firmware.stays_stopped();
+    has_none_fallen(bus, &held_deg, 0.5);
+}
+
 #[track_caller]
 pub(super) fn has_none_fallen<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64], most_deg: f64) {
     let fallen = fallen_deg(bus, before_deg);
@@ -240,9 +248,7 @@ fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
         };
         // The command and its answer: no motor that turns is switched off.
         assert_eq!(log.take().iter().filter(|record| is_told_off(record)).count(), 2 * off);
-        let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
-        firmware.stays_stopped();
-        has_none_fallen(&bus, &held_deg, 0.5);
+        stays_held(&mut firmware, &bus);
     }
 }
 

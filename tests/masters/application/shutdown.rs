@@ -14,7 +14,7 @@ use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::brakes::{before_shutdown, fallen_deg, has_none_fallen, is_off, loaded};
+use super::brakes::{before_shutdown, fallen_deg, has_none_fallen, is_off, loaded, stays_held};
 use super::{Firmware, Moved, Panel, angle_deg, told_by, unplug};
 
 on_both_buses! {
@@ -121,9 +121,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
                 fallen[1] < most_deg && fallen[0].abs() < 0.5,
                 "{why:?} after {after_ms} ms: {fallen:?}"
             );
-            let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
-            firmware.stays_stopped();
-            has_none_fallen(&bus, &held_deg, 0.5);
+            stays_held(&mut firmware, &bus);
         }
     }
 }
@@ -183,9 +181,7 @@ fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved
             let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
             let end = [stopped, Report::State(StateName::Stopped)];
             assert!(firmware.panel.reports.ends_with(&end), "{:?}", firmware.panel.reports);
-            let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
-            firmware.stays_stopped();
-            has_none_fallen(&bus, &held_deg, 0.5);
+            stays_held(&mut firmware, &bus);
         }
     }
 }
