@@ -6,9 +6,9 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
+use crate::io::outcome::BringUpError;
 use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;

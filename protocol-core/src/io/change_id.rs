@@ -12,7 +12,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
-use crate::io::bring_up::BringUpError;
+use crate::io::outcome::BringUpError;
 use crate::io::presence::{find, is_there};
 use crate::io::restart::restart_what_is_off;
 use crate::io::standing::{check_not_stopped, check_stands};

@@ -39,6 +39,7 @@ mod half_duplex;
 mod line;
 mod move_to;
 mod on_drop;
+mod outcome;
 mod polled;
 mod presence;
 mod pump;

@@ -4,8 +4,8 @@ use crate::command::{ReadRunningMode, ReadStatus2};
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::bring_up::BringUpError;
 use crate::io::calls::Calls;
+use crate::io::outcome::BringUpError;
 use crate::units::CoarseSpeed;
 
 /// Up to this speed a shaft stands, degrees per second.

@@ -1,0 +1,189 @@
+//! What ways of working return, and why they fail.
+
+use crate::command::{BrakeCommand, ErrorFlags, Mode, ModelName, Status1, VersionDate};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::master::Failure;
+use crate::units::{Angle, CoarseSpeed, EncoderPulses, Milliseconds};
+
+/// Why a motor could not be brought up as asked.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub enum BringUpError<E> {
+    /// A call on the way has no answer.
+    #[error(transparent)]
+    Call(#[from] CallError<E>),
+    /// The motor did not answer within the time given.
+    #[error("motor {0} does not answer")]
+    NotThere(MotorId),
+    /// The new id already belongs to another motor.
+    #[error("a motor with id {0} is on the bus already")]
+    IdTaken(MotorId),
+    /// The motor has not acknowledged its new id. It was not restarted, and is off. Switch its supply off and on to see
+    /// which id it has kept.
+    #[error(
+        "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}what it has kept \
+         shows when its supply was switched off and on",
+        if *is_alone { "" } else { "connect it alone, so that 0x79 can be tried as well; " }
+    )]
+    IdNotTaken {
+        /// The id that it had.
+        from: MotorId,
+        /// The id that it was given.
+        to: MotorId,
+        /// Whether it was the only motor. If not, 0x79 was not tried: all motors obey it.
+        is_alone: bool,
+    },
+    /// More than one motor answers under this id, as those from the factory do.
+    #[error(
+        "two motors seem to have id {0}: it answers some questions twice or not at all; connect only one of them"
+    )]
+    IdShared(MotorId),
+    /// The motor turns, and would run on if it were switched off. Stop it, wait until it stands and lift that stop.
+    /// Nothing was written, and it was not switched off.
+    #[error("motor {motor} turns at {speed}: stop it first")]
+    Turns {
+        /// The motor.
+        motor: MotorId,
+        /// How fast it turns.
+        speed: CoarseSpeed,
+    },
+    /// The drive was told to restart several times and goes on running. What was written to its ROM before, a zero or
+    /// an id, may be in force after its next start.
+    #[error(
+        "motor {0} was told to restart and goes on running: what was written to its ROM may be in force after its next \
+         start; switch its supply off and on"
+    )]
+    NotRestarted(MotorId),
+    /// The drive was told its new zero or id, and then this failed. So it is not known what is in its ROM; what was
+    /// written may come into force with any later start.
+    #[error(
+        "motor {motor} may have its new zero or id in its ROM, in force from its next start on: {why}; restart it, and \
+         read its angle, or scan, before it moves"
+    )]
+    MayBeWritten {
+        /// The motor, by the id that it had before.
+        motor: MotorId,
+        /// Why the command that writes, or what followed it, has failed.
+        why: CallError<E>,
+    },
+    /// After the restart the zero is not where it was put.
+    #[error(
+        "motor {motor} has not kept its zero: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
+    )]
+    ZeroNotKept {
+        /// The motor.
+        motor: MotorId,
+        /// The offset that the motor said it stored.
+        stored: EncoderPulses,
+        /// The offset that it has now.
+        found: EncoderPulses,
+        /// The angle that it reads now.
+        angle: Angle,
+    },
+    /// The drive does not report release as its brake's last command.
+    #[error("motor {motor}: the brake was told to release and says {says}")]
+    BrakeNotReleased {
+        /// The motor.
+        motor: MotorId,
+        /// The brake's last command, as the drive reports it.
+        says: BrakeCommand,
+    },
+    /// The drive reports an error, so nothing would hold the shaft after the brake opens. The brake is locked, or was
+    /// told to lock, whether the drive answered that or not.
+    #[error(
+        "motor {motor} reports an error ({errors}): nothing would hold its shaft behind an open brake"
+    )]
+    Fault {
+        /// The motor.
+        motor: MotorId,
+        /// What its drive reports.
+        errors: ErrorFlags,
+    },
+    /// The brake is open, the shaft turns, and the motor does not hold it: it runs nothing or, if it does not answer
+    /// that (0x70), draws no current. Something has switched it off since it was told to hold, or it did not obey. Its
+    /// brake is locked, or was told to lock.
+    #[error(
+        "motor {0} turns though it was told to hold while its brake opened: the brake is told to lock again"
+    )]
+    LetGo(MotorId),
+    /// The shaft turns although its brake was told to lock and has had the time to, or after the motor was then
+    /// switched off. Some brakes slip only then, and some motors have none. Nothing was written.
+    ///
+    /// A motor that may have held the shaft before is told to hold it again. It does not if a stop in force refuses
+    /// that, until it is [lifted](crate::master::Master::lift_stop_of), or if the motor reports an error. Then [open
+    /// the brake](crate::io::bring_up::release_brake), or intervene by other means.
+    #[error(
+        "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}{}",
+        match *holds {
+            Some(true) => "; it is open again, and the motor holds: do not switch it off",
+            Some(false) => "",
+            None => "; it has not confirmed that it is open again and that the motor holds",
+        }
+    )]
+    BrakeSlips {
+        /// The motor.
+        motor: MotorId,
+        /// How fast it turns.
+        speed: CoarseSpeed,
+        /// Whether its brake is open again and the motor has confirmed that it holds; `None` if it was told to and has
+        /// not confirmed.
+        holds: Option<bool>,
+    },
+    /// The drive does not report lock as its brake's last command; it may have no brake. Whatever holds a load must go
+    /// on holding it.
+    #[error(
+        "motor {motor}: the brake was told to lock and says {says}: do not switch off what holds a load"
+    )]
+    BrakeNotLocked {
+        /// The motor.
+        motor: MotorId,
+        /// The brake's last command, as the drive reports it.
+        says: BrakeCommand,
+    },
+}
+
+impl<E> BringUpError<E> {
+    /// The same error after a write: what a drive was told to write may be in its ROM, whatever came then.
+    pub(super) fn behind_a_write(self, motor: MotorId) -> Self {
+        match self {
+            Self::Call(why) => Self::MayBeWritten { motor, why },
+            Self::NotThere(silent) => {
+                let why = CallError::Failed { motor: silent, failure: Failure::NoReply };
+                Self::MayBeWritten { motor, why }
+            }
+            error => error,
+        }
+    }
+}
+
+/// What a motor is, and its state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct Identity {
+    /// Its model (0xB5); `None` if it does not answer that, as with firmware V4.4.
+    pub model: Option<ModelName>,
+    /// The date of its software (0xB2).
+    pub version: VersionDate,
+    /// How long it has run since its last start (0xB1).
+    pub run_time: Milliseconds,
+    /// Which control loop runs (0x70).
+    pub mode: Mode,
+    /// Temperatures, brake, voltage and errors (0x9A).
+    pub status: Status1,
+}
+
+/// How far a motor has confirmed its communication-loss protection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Protection {
+    /// It replied with the time that it was given; 0 where the protection was switched off.
+    Confirmed,
+    /// It replied with this time instead; in the manual's own example it replies 0. No command reads the setting back,
+    /// so try it: stop sending and check that the motor stops.
+    AcknowledgedOnly(Milliseconds),
+}
