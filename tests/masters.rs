@@ -4,6 +4,7 @@ mod masters {
     mod application;
     mod bring_up;
     mod dead_motors;
+    mod keep_alive;
     mod losses;
     mod streams;
     mod tasks;

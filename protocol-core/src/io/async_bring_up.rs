@@ -1,5 +1,5 @@
-//! First contact and safe ways of working over any [`AsyncRunner`]: [`bring_up`](crate::io::bring_up) for tasks. The
-//! functions there run these.
+//! First contact and safe ways of working over any [`AsyncRunner`](crate::io::AsyncRunner):
+//! [`bring_up`](crate::io::bring_up) for tasks. The functions there run these.
 //!
 //! If one of these futures is dropped, its work ends where it is: a motor may have been given its new id and not have
 //! been restarted, for example. Those that move a motor or open its brake then put a stop in force, which the next
@@ -11,7 +11,6 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
 pub use crate::io::brake::{check_brake, lock_brake, release_brake};
 pub use crate::io::calls::Calls;
@@ -29,51 +28,51 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ZERO_TOLERANCE: i32 = 100;
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).
-pub async fn identify<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn identify<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
-) -> Result<Identity, CallError<R::Error>> {
-    let model = match runner.ask(motor, ReadModel).await {
+) -> Result<Identity, CallError<B::Error>> {
+    let model = match bus.ask(motor, ReadModel).await {
         Ok(reply) => Some(reply.model),
         Err(CallError::Failed { failure: Failure::NoReply, .. }) => None,
         Err(error) => return Err(error),
     };
     Ok(Identity {
         model,
-        version: runner.ask(motor, ReadVersionDate).await?.version_date,
-        run_time: runner.ask(motor, ReadRunTime).await?.run_time,
-        mode: runner.ask(motor, ReadRunningMode).await?.mode,
-        status: runner.ask(motor, ReadStatus1).await?,
+        version: bus.ask(motor, ReadVersionDate).await?.version_date,
+        run_time: bus.ask(motor, ReadRunTime).await?.run_time,
+        mode: bus.ask(motor, ReadRunningMode).await?.mode,
+        status: bus.ask(motor, ReadStatus1).await?,
     })
 }
 
 /// As [`bring_up::zero_here`](crate::io::bring_up::zero_here). If this future is dropped, the motor may be off, with
 /// only its brake to hold a load, and the new zero may be in its ROM, in force from its next start on: read its angle
 /// before it moves.
-pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn zero_here<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
-) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    check_not_stopped(runner, motor)?;
-    check_stands(runner, motor).await?;
-    switch_off(runner, motor).await?;
-    let stored = match runner.ask(motor, SetCurrentPositionZero).await {
+) -> Result<EncoderPulses, BringUpError<B::Error>> {
+    check_not_stopped(bus, motor)?;
+    check_stands(bus, motor).await?;
+    switch_off(bus, motor).await?;
+    let stored = match bus.ask(motor, SetCurrentPositionZero).await {
         Ok(reply) => reply.offset,
         Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),
         Err(why) => return Err(BringUpError::MayBeWritten { motor, why }),
     };
-    keeps_zero(runner, motor, stored).await.map_err(|error| error.behind_a_write(motor))
+    keeps_zero(bus, motor, stored).await.map_err(|error| error.behind_a_write(motor))
 }
 
 /// Restarts a drive and checks that its zero is where it was put.
-async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+async fn keeps_zero<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     stored: EncoderPulses,
-) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    restart_what_is_off(runner, motor, motor).await?;
-    let found = runner.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
-    let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+) -> Result<EncoderPulses, BringUpError<B::Error>> {
+    restart_what_is_off(bus, motor, motor).await?;
+    let found = bus.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
+    let angle = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
     if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
         Ok(stored)
     } else {

@@ -7,8 +7,9 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
+use crate::io::keep_alive::KeepAlive;
 use crate::io::presence::answers;
-use crate::master::StopKind;
+use crate::master::{MotorSet, StopKind};
 use crate::time::Instant;
 
 /// A bus as needed by the ways of working with one motor: [`move_to`](crate::io::async_bring_up::move_to),
@@ -93,7 +94,8 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
     }
 
     async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<R::Error>> {
-        self.run_until(until, |_| {}).await
+        let all = KeepAlive::new(self, MotorSet::ALL);
+        all.during(async |bus| bus.run_until(until, |_| {}).await).await
     }
 
     async fn ask_often<C: Command>(
@@ -103,11 +105,13 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
         attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<R::Error>> {
         let patience = attempts.map(|attempts| self.master().patience(attempts));
-        self.ask_with(motor, command, patience, |_| {}).await
+        let all = KeepAlive::new(self, MotorSet::ALL);
+        all.during(async |bus| bus.ask_with(motor, command, patience, |_| {}).await).await
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        AsyncRunner::stop(self, motor, kind).await
+        let all = KeepAlive::new(self, MotorSet::ALL);
+        all.during(async |bus| AsyncRunner::stop(bus, motor, kind).await).await
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {

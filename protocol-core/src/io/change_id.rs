@@ -12,6 +12,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
+use crate::io::keep_alive::KeepAlive;
 use crate::io::outcome::BringUpError;
 use crate::io::presence::{find, is_there};
 use crate::io::restart::restart_what_is_off;
@@ -105,7 +106,8 @@ async fn is_taken_by_function_5<R: AsyncRunner<N>, const N: usize>(
     // The command is over when it was sent: drives were seen to take it without an answer.
     runner.ask_with(from, command, None, &mut hear).await?;
     let end = runner.now() + ACKNOWLEDGED_IN;
-    runner.run_until(end, hear).await?;
+    let all = KeepAlive::new(runner, MotorSet::ALL);
+    all.during(async |bus| bus.run_until(end, hear).await).await?;
     Ok(is_taken || is_there(runner, to).await?)
 }
 
@@ -121,12 +123,21 @@ async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
     let hear = |event| {
         is_taken |= matches!(event, Event::BroadcastReply { reply: AnyReply::BusId(_), .. });
     };
-    runner.run_until(end, hear).await?;
+    let all = KeepAlive::new(runner, MotorSet::ALL);
+    all.during(async |bus| bus.run_until(end, hear).await).await?;
     Ok(is_taken || is_there(runner, to).await?)
 }
 
 /// As [`bring_up::is_shared`](crate::io::bring_up::is_shared).
 pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    let others = KeepAlive::new(runner, MotorSet::ALL.without(id.into()));
+    others.during(async |bus| Ok(!always_answers_once(bus, id).await?)).await
+}
+
+async fn always_answers_once<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
@@ -137,10 +148,10 @@ pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
             && answers_once(runner, id, ReadMultiTurnAngle).await?
             && answers_once(runner, id, ReadStatus1).await?;
         if !is_one {
-            return Ok(true);
+            return Ok(false);
         }
     }
-    Ok(false)
+    Ok(true)
 }
 
 /// Whether exactly one readable answer comes.

@@ -36,6 +36,7 @@ mod echo;
 mod elapsed;
 mod guard;
 mod half_duplex;
+mod keep_alive;
 mod line;
 mod move_to;
 mod on_drop;

@@ -150,7 +150,7 @@ impl Config {
         Self { longest_reply_timeout: longest, ..self }
     }
 
-    pub(super) const fn is_rs485(&self) -> bool {
+    pub(crate) const fn is_rs485(&self) -> bool {
         matches!(self.bus, Bus::Rs485 { .. })
     }
 

@@ -3,7 +3,8 @@
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::master::motor::Motor;
-use crate::master::{Config, Master, MotorSet};
+use crate::master::{Config, Master, MotorSet, Presence};
+use crate::time::{Duration, Instant};
 
 /// A set of places.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -132,6 +133,23 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
     }
 
+    /// Of these motors, the one that was sent nothing for longest, and at least for `rest`. It is heard and has nothing
+    /// under way.
+    pub(crate) fn longest_resting(
+        &self,
+        motors: MotorSet,
+        now: Instant,
+        rest: Duration,
+    ) -> Option<MotorId> {
+        let rests = |motor: &Motor| {
+            let is_heard = matches!(motor.health().presence, Presence::Present | Presence::Late);
+            is_heard && motor.is_idle(now) && now - motor.sent >= rest
+        };
+        let all = motors.iter().filter_map(|id| Some((id, self.motors.get(self.places.of(id)?)?)));
+        let resting = all.filter(|(_, motor)| rests(motor));
+        resting.min_by_key(|(_, motor)| motor.sent).map(|(id, _)| id)
+    }
+
     /// Gives up a motor's place and counters, so that another motor can have the place. Returns `false`, and changes
     /// nothing, in these cases:
     ///
@@ -149,7 +167,7 @@ impl<const N: usize> Master<N> {
             self.let_line_answer();
             // A stop to all is also for this motor, and must not be left out because it was called before.
             self.stop_to_all_was = None;
-            self.change_at(place, |motor, _| *motor = Motor::default());
+            self.change_at(place, |motor, _| *motor = motor.forgotten());
             self.places.clear(place, motor);
         }
         is_idle
