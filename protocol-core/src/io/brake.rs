@@ -17,6 +17,8 @@ use crate::time::Duration;
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
 /// How often a motor that is waited for is spoken to: its communication-loss protection may be short.
 pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
+/// How long a motor may take to bring a load to rest that it catches.
+const COMES_TO_REST: Duration = Duration::from_millis(500);
 /// Within this time a load turns a shaft that nothing holds.
 const LOAD_SHOWS: Duration = Duration::from_millis(200);
 /// How often a brake that does not answer is told to open.
@@ -67,17 +69,26 @@ async fn open<B: Calls<N>, const N: usize>(
     Err(fails)
 }
 
-/// Whether the shaft turns and the motor runs nothing that could hold it or, if it does not say, draws no current.
+/// Waits until the shaft is at rest. Returns whether it turns instead and the motor runs nothing that could hold it or,
+/// if it does not say, draws no current.
 async fn falls<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<bool, CallError<B::Error>> {
-    match turns_within(bus, motor, Duration::ZERO).await? {
-        None => Ok(false),
-        Some(feedback) => {
-            let draws = feedback.current.raw() != 0;
-            Ok(!runs(bus, motor).await.unwrap_or(draws))
+    let end = bus.now() + COMES_TO_REST;
+    let mut turned = false;
+    loop {
+        let Feedback { speed, current, .. } = look(bus, motor, ReadStatus2).await?;
+        let turns = turns(speed);
+        if turned && turns && !runs(bus, motor).await.unwrap_or(current.raw() != 0) {
+            return Ok(true);
         }
+        let now = bus.now();
+        if speed.raw() == 0 || now >= end {
+            return Ok(false);
+        }
+        turned = turns;
+        let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
     }
 }
 
@@ -235,7 +246,7 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
     motor: MotorId,
     held: bool,
 ) -> Result<(), BringUpError<B::Error>> {
-    let Some(Feedback { speed, .. }) = turns_within(bus, motor, LOAD_SHOWS).await? else {
+    let Some(Feedback { speed, .. }) = turned_by_load(bus, motor).await? else {
         return Ok(());
     };
     let holds = if held { hold_again(bus, motor).await } else { Some(false) };
@@ -260,13 +271,12 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
     }
 }
 
-/// How the shaft turns, if it does within `time`: at two looks in a row, since a single look may find it swinging.
-async fn turns_within<B: Calls<N>, const N: usize>(
+/// How the shaft turns, if a load turns it: at two looks in a row, since a single look may find it swinging.
+async fn turned_by_load<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
-    time: Duration,
 ) -> Result<Option<Feedback>, CallError<B::Error>> {
-    let end = bus.now() + time;
+    let end = bus.now() + LOAD_SHOWS;
     let mut turned = false;
     loop {
         let feedback = look(bus, motor, ReadStatus2).await?;

@@ -374,6 +374,50 @@ fn who_turns_behind_an_open_brake_and_does_not_say_what_it_runs_is_let_go_where_
     }
 }
 
+/// It brakes what began to fall while its brake opened.
+#[test]
+fn a_motor_has_brought_its_load_to_rest_when_its_brake_is_said_to_be_open() {
+    let mut looks = 0;
+    let (bus, mut arm) = holding(|data, _| {
+        if data[0] == 0x9C {
+            data[4] = *[90, 40, 1, 1].get(looks).unwrap_or(&0);
+            looks += 1;
+        }
+    });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Ok(()));
+    assert_eq!(bus.sent().iter().filter(|data| data[0] == 0x9C).count(), 5);
+}
+
+/// Its encoder is noisy, or somebody turns it.
+#[test]
+fn a_motor_that_never_rests_is_waited_for_no_longer_than_half_a_second() {
+    let (_, mut arm) = holding(|data, _| {
+        if data[0] == 0x9C {
+            data[4] = 1;
+        }
+    });
+    let begun = arm.now();
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Ok(()));
+    let took = arm.now() - begun - BRAKE_MOVES;
+    assert!((500..600).contains(&took.as_millis()), "{took}");
+}
+
+/// At its second look it still runs.
+#[test]
+fn a_motor_that_lets_go_while_its_load_comes_to_rest_is_told() {
+    let mut asked = 0;
+    let (bus, mut arm) = holding(|data, _| match data[0] {
+        0x9C => data[4] = 90,
+        0x70 => {
+            asked += 1;
+            data[7] = if asked > 1 { 0 } else { RUNS };
+        }
+        _ => {}
+    });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Err(BringUpError::LetGo(id(1))));
+    assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
+}
+
 /// What was not acknowledged may not be obeyed: a stop goes on telling it to hold.
 #[test]
 fn who_does_not_acknowledge_that_it_is_to_hold_behind_its_brake_is_stopped() {
