@@ -1,4 +1,4 @@
-//! What a drive does by the manual, sentence by sentence, with a module for each subject. And whether the list of
+//! What a drive does by the manual, sentence by sentence, with a module for each subject. Also checks that the list of
 //! requirements in `requirements/` is complete and true.
 //!
 //! The documentation of each test has the section and the meaning of its sentence. The motor of these drives: ideal,

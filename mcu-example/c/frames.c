@@ -40,7 +40,7 @@ bool c_decode_feedback(const uint8_t data[DATA_LENGTH], struct feedback *feedbac
 /* The nearest of the steps from 0 to `last` between `-max` and `max`. */
 static bool symmetric_step(float value, float max, float last, uint32_t *step)
 {
-    if (!(value >= -max && value <= max)) { /* no number is not within either */
+    if (!(value >= -max && value <= max)) { /* also refuses NaN */
         return false;
     }
     *step = (uint32_t)(value * (last / (2.0f * max)) + (last + 1.0f) / 2.0f);
@@ -80,7 +80,7 @@ bool c_encode_motion(const struct motion_set_point *set_point, uint8_t data[DATA
 
 static float symmetric_value(uint32_t step, float max, float last)
 {
-    return (float)step * (2.0f * max) / last - max; /* in this order the last step is `max` itself */
+    return (float)step * (2.0f * max) / last - max; /* in this order the last step is exactly `max` */
 }
 
 void c_decode_motion(const uint8_t data[DATA_LENGTH], struct motion_feedback *feedback)

@@ -1,6 +1,5 @@
-/* What the codecs of protocol-core are measured beside: the same work in plain C, with the same checks
- * of ranges. Written to be read, not to be used: compiled with arm-none-eabi-gcc -O2 and linked into the
- * firmware that counts instructions. */
+/* The reference for the codecs of protocol-core: the same work in plain C, with the same range checks. It is for
+ * measuring only: compiled with arm-none-eabi-gcc -O2 and linked into the firmware that counts instructions. */
 #ifndef FRAMES_H
 #define FRAMES_H
 
@@ -44,15 +43,15 @@ struct motion_feedback {
     float torque_nm;
 };
 
-/* False, and nothing is written, if a value is beyond its scale or no number. */
+/* False, and nothing is written, if a value is beyond its scale or NaN. */
 bool c_encode_motion(const struct motion_set_point *set_point, uint8_t data[DATA_LENGTH]);
 
 void c_decode_motion(const uint8_t data[DATA_LENGTH], struct motion_feedback *feedback);
 
 void c_encode_line(uint8_t id, const uint8_t data[DATA_LENGTH], uint8_t line[LINE_LENGTH]);
 
-/* Collects a frame byte by byte. It starts at 3E and does not search for another start in what turned
- * out to be none. */
+/* Collects a frame byte by byte. It starts at 3E. If the bytes turn out to be no frame, it does not search them for
+ * another start. */
 struct receiver {
     uint8_t line[LINE_LENGTH];
     uint8_t length;
@@ -63,10 +62,10 @@ enum fed { FED_NOTHING, FED_FRAME, FED_BROKEN };
 
 enum fed c_feed(struct receiver *receiver, uint8_t byte);
 
-/* What feeding is compared to: takes the byte and asks for more. */
+/* The baseline for `c_feed`: takes the byte and asks for more. */
 enum fed c_want(struct receiver *receiver, uint8_t byte);
 
-/* What the others are compared to: a call and a return. */
+/* The baseline for all other functions: a call and a return. */
 void c_nothing(const void *input, void *output);
 
 #endif

@@ -1,4 +1,4 @@
-//! Ports that get what they hear in bursts, under the virtual clock.
+//! Ports that receive frames and bytes in bursts, under the virtual clock.
 
 use embedded_can::nb::Can as _;
 use embedded_io::{Read as _, ReadReady as _};
@@ -30,12 +30,12 @@ fn on_line() -> (LineFleet, SerialPort) {
 }
 
 #[test]
-fn frames_come_at_multiples_of_the_period_and_all_that_came_until_then() {
+fn a_burst_at_each_multiple_of_the_period_has_all_frames_until_then() {
     let (fleet, mut port) = on_can();
     let ask = can::encode(&ReadMultiTurnAngle.packet(MOTOR)).unwrap();
     let mut come = Vec::new();
     for step in 0..500_u64 {
-        // Asked at 0, 3 and 20 ms; the drive answers within 1.2 ms.
+        // Commands at 0, 3 and 20 ms. The drive replies within 1.2 ms.
         if [0, 30, 200].contains(&step) {
             port.transmit(&ask).unwrap();
         }
@@ -45,14 +45,14 @@ fn frames_come_at_multiples_of_the_period_and_all_that_came_until_then() {
         }
     }
     assert_eq!(come, [16_000, 16_000, 32_000]);
-    // And at once again.
+    // Without a period frames arrive at once again.
     fleet.world.hand_over_every(port.station(), Duration::ZERO);
     port.transmit(&ask).unwrap();
     fleet.world.run_for(Duration::from_micros(1_300));
     assert!(port.receive().is_ok());
 }
 
-/// Frames that are late or behind the next one are no exception.
+/// Delayed and reordered frames also arrive at multiples of the period only.
 #[test]
 fn faults_change_nothing_about_bursts() {
     for plan in [late_by(Duration::from_millis(3)), FaultPlan { reorder: 1.0, ..FaultPlan::NONE }] {
@@ -79,7 +79,7 @@ fn bytes_of_a_frame_come_together() {
     let (fleet, mut port) = on_line();
     let ask = Frame::from_packet(&ReadMultiTurnAngle.packet(MOTOR)).unwrap().encode();
     embedded_io::Write::write_all(&mut port, &ask).unwrap();
-    // Two frames of 1.13 ms and the drive's delay are over long before.
+    // Two frames of 1.13 ms and the drive's delay end long before.
     fleet.world.run_until(Instant::from_micros(15_999));
     assert!(!port.read_ready().unwrap());
     fleet.world.run_until(Instant::from_micros(16_000));
@@ -87,9 +87,10 @@ fn bytes_of_a_frame_come_together() {
     assert_eq!(port.read(&mut bytes).unwrap(), 13);
 }
 
-/// Bytes of 10 us and bursts of 20 us: every second byte ends just when the one before it is handed over.
+/// A byte takes 10 us and a burst comes every 20 us. So every second byte ends exactly when the byte before it is
+/// handed over.
 #[test]
-fn a_byte_that_ends_with_a_burst_stays_behind_the_others() {
+fn a_byte_that_ends_with_a_burst_stays_in_order() {
     let world = SerialWorld::new(1_000_000, 1);
     let (mut sender, mut listener) = (world.port(), world.port());
     world.hand_over_every(listener.station(), Duration::from_micros(20));

@@ -1,5 +1,5 @@
-//! The simulated CAN bus under the virtual clock. Times are counted by hand in bits, which at
-//! 1 Mbit/s are microseconds.
+//! The simulated CAN bus under the virtual clock. Times are counted by hand, in bits. At 1 Mbit/s a bit takes a
+//! microsecond.
 
 use embedded_can::{ExtendedId, Frame, Id, StandardId, nb::Can as _};
 use myactuator_host_std::sim::bus::Node;
@@ -14,7 +14,7 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_tests::script::{Hand, Stage as _, broken, micros};
 use proptest::prelude::*;
 
-/// A frame of 112 bits for identifier 0x141; others differ by their stuff bits.
+/// 112 bits for identifier 0x141. Other identifiers may have other stuff bits.
 fn frame(id: u16) -> SimpleFrame {
     data_frame(id, &[0x55; 8])
 }
@@ -32,7 +32,7 @@ fn world() -> CanWorld {
     CanWorld::new(1_000_000, 1)
 }
 
-/// A bus with a master's port and somebody who listens.
+/// A bus with a master's port and a listener.
 fn scene() -> (CanWorld, CanPort, Hand<SimpleFrame>) {
     let world = world();
     let listener = world.listener();
@@ -51,7 +51,7 @@ fn send(port: &mut CanPort, frame: SimpleFrame) {
     assert_eq!(port.transmit(&frame), Ok(None));
 }
 
-/// The length of a frame, bit by bit and as slow as it is plain.
+/// The length of a frame, counted bit by bit: slow, but plain.
 fn counted_bits(frame: &SimpleFrame) -> u32 {
     let remote = u8::from(frame.is_remote_frame());
     let mut text = match frame.id() {
@@ -90,7 +90,7 @@ fn counted_bits(frame: &SimpleFrame) -> u32 {
 
 proptest! {
     #[test]
-    fn every_frame_has_the_bits_that_one_counts(
+    fn every_frame_is_as_long_as_counted_bit_by_bit(
         raw in 0u32..0x2000_0000,
         extended: bool,
         remote: bool,
@@ -124,10 +124,10 @@ fn a_frame_arrives_with_its_last_bit() {
         send(&mut port, frame(0x141));
         send(&mut port, smooth());
         world.run_until(micros(1_000));
-        // The intermission of three bits is behind the arrival, and ahead of the next frame.
+        // Three bits of intermission follow the arrival, before the next frame.
         let expected = [(109 * bit_us, frame(0x141)), ((112 + 108) * bit_us, smooth())];
         assert_eq!(listener.heard(), expected);
-        // Nobody hears itself.
+        // A port does not hear its own frames.
         assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
         assert_eq!(world.controller(port.station()).queued, 0);
     }
@@ -139,7 +139,7 @@ fn the_lowest_identifier_goes_first() {
     let remote = SimpleFrame::new_remote(StandardId::new(0x141).unwrap(), 1).unwrap();
     for (sent, heard) in [
         ([frame(0x300), frame(0x141), frame(0x2FF)], [frame(0x141), frame(0x2FF), frame(0x300)]),
-        // Of those that begin alike, the standard one with data.
+        // If identifiers begin alike, the standard data frame wins.
         ([extended, remote, frame(0x141)], [frame(0x141), remote, extended]),
     ] {
         let world = world();
@@ -159,7 +159,7 @@ fn a_frame_on_the_wire_is_not_interrupted() {
     world.sender([(50, frame(0x001))]);
     let listener = world.listener();
     world.run_until(micros(1_000));
-    // 0x7FE wins against 0x7FF in the mailboxes, since both were there before the first bit.
+    // 0x7FE wins against 0x7FF, since both were in the mailboxes before the first bit.
     assert_eq!(ids(&listener), [0x7FE, 0x001, 0x7FF]);
 }
 
@@ -180,7 +180,7 @@ fn a_full_queue_would_block_until_a_frame_has_left() {
 }
 
 #[test]
-fn a_fifo_keeps_its_order_and_a_mailbox_that_of_equals() {
+fn a_fifo_keeps_its_order_and_mailboxes_that_of_equal_identifiers() {
     for (config, sent) in [
         (ControllerConfig::SOCKETCAN, [0x300, 0x200, 0x100].map(frame)),
         (ControllerConfig::MAILBOXES, [3, 2, 1].map(|n| data_frame(0x141, &[n]))),
@@ -204,9 +204,9 @@ fn mailboxes_go_by_priority_and_give_way() {
     send(&mut port, frame(0x200));
     send(&mut port, frame(0x250));
     assert_eq!(port.transmit(&frame(0x260)), Err(nb::Error::WouldBlock));
-    // 0x300 is lower still, but on the wire.
+    // 0x300 has an even lower priority, but is on the wire.
     assert_eq!(port.transmit(&frame(0x100)), Ok(Some(frame(0x250))));
-    // Of equals the first goes first, so an equal one does not give way.
+    // Frames of equal priority keep their order, so none gives way to another.
     assert_eq!(port.transmit(&data_frame(0x200, &[])), Err(nb::Error::WouldBlock));
     world.run_until(micros(1_000));
     assert_eq!(ids(&listener), [0x300, 0x100, 0x200]);
@@ -219,8 +219,8 @@ fn silence_makes_error_passive_and_nothing_worse() {
     let mut port = world.port();
     send(&mut port, smooth());
     let status = || world.controller(port.station());
-    // The frame's last eleven bits do not come: 100 bits up to the acknowledge slot; then an error
-    // frame of 6 + 8 bits and an intermission of 3. So an attempt takes 117.
+    // An attempt takes 117 bits: 100 up to the acknowledge slot, then an error frame of 6 + 8 and an intermission
+    // of 3. The last eleven bits of the frame do not come.
     for attempt in 0..16 {
         world.run_until(micros(attempt * 117 + 99));
         assert_eq!(u64::from(status().transmit_errors), attempt * 8);
@@ -238,7 +238,7 @@ fn silence_makes_error_passive_and_nothing_worse() {
     let starts: Vec<u64> = starts.skip(14).take(4).collect();
     assert_eq!(starts, [14 * 117, 15 * 117, 16 * 117 + 8, 17 * 117 + 16]);
     assert_eq!((status().transmit_errors, status().queued), (128, 1));
-    // Somebody joins: the next attempt goes through.
+    // A listener joins: the next attempt succeeds.
     let listener = world.listener();
     world.run_for(Duration::from_millis(1));
     assert_eq!(listener.heard().len(), 1);
@@ -260,7 +260,7 @@ fn break_until_bus_off(world: &CanWorld, port: &mut CanPort) {
 }
 
 #[test]
-fn errors_lead_to_bus_off_and_silence_back() {
+fn errors_lead_to_bus_off_and_a_silent_bus_ends_it() {
     let (world, mut port, listener) = scene();
     let log = world.log();
     break_until_bus_off(&world, &mut port);
@@ -291,7 +291,7 @@ fn a_controller_that_is_bus_off_takes_no_part() {
         (status.transmit_errors, status.receive_errors)
     };
     assert_eq!((counts(&port), counts(&other)), ((256, 0), (0, 32)));
-    // It counts no errors of others, and acknowledges nothing.
+    // While bus-off it counts no errors of others and acknowledges nothing.
     send(&mut other, frame(0x142));
     while counts(&other).0 == 0 {
         assert!(world.step());
@@ -309,7 +309,7 @@ fn a_busy_bus_ends_bus_off_later() {
     let log = world.log();
     break_until_bus_off(&world, &mut port);
     let left = times(&log.take(), &Event::BusOff)[0];
-    // Frames without a gap, one sequence of eleven recessive bits each.
+    // Frames without a gap. Each has one sequence of eleven recessive bits.
     let begin = left / 1_000 + 23;
     world.sender((0..300).map(|_| (begin, data_frame(0, &[]))));
     world.run_for(Duration::from_millis(20));
@@ -387,7 +387,7 @@ fn polling_costs_no_time() {
     assert_eq!(world.now(), micros(0));
 }
 
-/// Has all its frames from the start, and asks for time as it likes.
+/// Has all its frames from the start. `poll_at` is the next time that it asks for.
 struct Burst {
     frames: Vec<SimpleFrame>,
     poll_at: Option<Instant>,
@@ -415,7 +415,7 @@ fn a_node_is_asked_again_when_its_mailboxes_have_room() {
     assert_eq!(listener.frames(), sent);
 }
 
-/// Takes one frame, and sends what it was handed, with another identifier.
+/// Accepts 0x142 only. Sends 0x242 after that frame, and 0x7FF after any other.
 struct Filtered(Option<SimpleFrame>);
 
 impl Node<SimpleFrame> for Filtered {
@@ -473,15 +473,14 @@ fn steps_go_from_event_to_event() {
     assert_eq!(times, [0, 109, 112]);
 }
 
-/// Each call would have far more to make up for than the one before.
 #[test]
-fn what_is_too_slow_for_real_time_goes_on_slowly() {
+fn a_world_too_slow_for_real_time_goes_on_slowly() {
     let world = world().in_real_time();
     let begun = std::time::Instant::now();
     world.every(Duration::from_micros(1), move |_| {
         std::thread::sleep(std::time::Duration::from_micros(20));
-        // Each call makes up for half a second at the most; without that limit it would take twenty times as long as
-        // the one before, and the last for minutes.
+        // Each call makes up for at most half a second. Without that limit each would take twenty times as long as
+        // the one before, and the last one minutes.
         assert!(begun.elapsed().as_secs() < 60, "it is held up");
     });
     let times = [(); 6].map(|()| world.now());

@@ -21,7 +21,7 @@ fn seconds(count: u64) -> Instant {
     Instant::ZERO + Duration::from_secs(count)
 }
 
-/// Numbered frames, which no fault but corruption can make up.
+/// A frame with a number. Only corruption can turn one into another.
 fn frame(number: u16) -> SimpleFrame {
     let [low, high] = number.to_le_bytes();
     SimpleFrame::new(StandardId::new(0x241).unwrap(), &[low, high, 1, 2, 3, 4, 5, 6]).unwrap()
@@ -101,7 +101,7 @@ fn what_is_certain_strikes_all_in_its_direction() {
         assert_eq!(numbers(&receive_all(&mut run.port)), expected, "{plan:?}");
         let mut run = broadcast(1, Direction::ToNodes, plan);
         assert_eq!(numbers(&run.listeners[0].frames()), expected, "{plan:?}");
-        // The wire knows nothing of it.
+        // The wire is not affected.
         let status = run.world.controller(run.port.station());
         assert_eq!((status.state, status.transmit_errors), (ErrorState::Active, 0), "{plan:?}");
         let records = run.log.take();
@@ -114,13 +114,13 @@ fn what_is_certain_strikes_all_in_its_direction() {
     }
 }
 
-/// How many of 1000 are to be expected of a probability of 0.1: six standard deviations around.
+/// Whether the count fits 1000 trials with a probability of 0.1: within six standard deviations.
 fn is_a_tenth(count: usize) -> bool {
     (43..=157).contains(&count)
 }
 
 #[test]
-fn some_loss_strikes_each_receiver_by_itself() {
+fn some_loss_strikes_each_receiver_on_its_own() {
     let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, lossy);
     let heard = run.listeners.each_ref().map(|listener| numbers(&listener.frames()));
@@ -138,7 +138,7 @@ fn corruption_on_can_is_noticed_and_repeated() {
     assert_eq!(numbers(&run.listeners[0].frames()), in_order());
     let records = run.log.take();
     assert!(is_a_tenth(broken(&records).count() * 9 / 10));
-    // The error frame, 20 bits, and the intermission, 3, are in front of the repetition.
+    // An error frame of 20 bits and an intermission of 3 precede the repetition.
     for record in broken(&records) {
         let again = record.at_ns + 23_000;
         let started = |record: &&Record<SimpleFrame>| match record.event {
@@ -199,7 +199,7 @@ fn delayed_frames_are_late_and_stay_in_order() {
         let arrives = u64::from(n) * 1_000 + u64::from(frame_bits(&frame(n))) - 3;
         assert_eq!(*at, arrives + 500);
     }
-    // Late by more than the distance to the next one, which waits then.
+    // If a frame is late by more than the distance to the next one, the next one waits.
     let late = FaultPlan { delay: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, late);
     assert_eq!(numbers(&run.listeners[0].frames()), in_order());
@@ -209,7 +209,7 @@ fn delayed_frames_are_late_and_stay_in_order() {
 }
 
 #[test]
-fn some_arrive_behind_the_next_one() {
+fn some_arrive_after_the_next_one() {
     let some = FaultPlan { reorder: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, some);
     let mut heard = numbers(&run.listeners[0].frames());
@@ -243,7 +243,7 @@ fn a_nodes_own_plan_strikes_it_alone() {
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     world.run_until(micros(200));
     assert_eq!((bad.heard().len(), good.heard().len()), (0, 1));
-    // Its own way out is another direction.
+    // What the node sends is another direction.
     world.set_node_faults(bad_station, Direction::ToNodes, None);
     world.set_node_faults(bad_station, Direction::ToPorts, lossy);
     world.run_until(micros(500));
@@ -254,7 +254,7 @@ fn a_nodes_own_plan_strikes_it_alone() {
     assert!(!receive_all(&mut port).contains(&frame(9)));
 }
 
-/// All that happens in a world in which much goes wrong.
+/// Everything that happens in a world with many faults.
 fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
     let world = CanWorld::new(1_000_000, seed);
     let log = world.log();
@@ -313,7 +313,7 @@ fn a_cut_wire_isolates_both_ways_and_mending_restores() {
     world.run_until(seconds(1));
     assert_eq!(cut_off.heard(), []);
     assert_eq!(numbers(&other.frames()), [2]);
-    // Alone on its stub nobody acknowledges, while the bus goes on.
+    // On the cut stub nobody acknowledges. The rest of the bus goes on.
     let status = world.controller(station);
     assert_eq!((status.state, status.transmit_errors), (ErrorState::Passive, 128));
     assert_eq!(world.controller(port.station()).transmit_errors, 0);
@@ -343,7 +343,7 @@ fn cutting_the_sender_breaks_its_frame_off() {
 }
 
 #[test]
-fn who_joins_in_the_middle_of_a_frame_does_not_hear_it() {
+fn a_node_that_joins_in_mid_frame_does_not_hear_it() {
     let (world, _) = can();
     world.sender([(0, frame(1)), (0, frame(2))]);
     let late = Hand::listening();
@@ -364,7 +364,7 @@ fn a_reset_tells_the_node_and_empties_its_controller() {
     world.reset(station);
     assert_eq!(node.resets(), [77]);
 
-    // Nobody acknowledges: all stays in the queue.
+    // Nobody acknowledges, so both frames stay in the queue.
     let alone = CanWorld::new(1_000_000, 1);
     let station = alone.sender([(0, frame(1)), (0, frame(2))]);
     alone.run_until(seconds(1));
@@ -384,7 +384,7 @@ fn a_slow_node_answers_late_and_in_order() {
     world.slow_down(station, Duration::from_millis(5));
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     world.run_until(micros(1_000));
-    // Fast again, but its first answer is still under way.
+    // Fast again, but its first answer is still pending.
     world.slow_down(station, Duration::ZERO);
     assert_eq!(port.transmit(&frame(2)), Ok(None));
     world.run_until(seconds(1));
@@ -398,7 +398,7 @@ fn a_slow_node_answers_late_and_in_order() {
 }
 
 #[test]
-fn what_a_slow_node_has_under_way_is_lost_by_a_reset() {
+fn a_reset_loses_the_pending_frames_of_a_slow_node() {
     let (world, mut port) = can();
     let station = world.mirror();
     world.slow_down(station, Duration::from_millis(5));
@@ -410,7 +410,7 @@ fn what_a_slow_node_has_under_way_is_lost_by_a_reset() {
 }
 
 #[test]
-fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
+fn a_slow_nodes_frames_wait_for_room_after_its_babble() {
     let world = CanWorld::new(1_000_000, 1);
     let station = world.sender([(0, frame(1))]);
     world.slow_down(station, Duration::from_millis(1));
@@ -424,7 +424,7 @@ fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
     assert_eq!(receive_all(&mut port), [frame(5), frame(5), frame(5), frame(1)]);
 }
 
-/// Periods and pauses that never end are none.
+/// A call with an endless period is never made. A babble with an endless interval sends one frame.
 #[test]
 fn what_comes_after_the_end_of_time_does_not_come() {
     let (world, _) = can();
@@ -479,7 +479,7 @@ fn a_babbler_of_high_priority_starves_the_others() {
     assert_eq!(world.controller(port.station()).queued, 0);
 }
 
-/// What a node hears of 100 messages that a master writes.
+/// What a node hears when a master writes 100 messages.
 fn messages(seed: u64, plan: FaultPlan) -> Vec<(u64, Vec<u8>)> {
     let (world, mut port, listener) = line(seed);
     world.set_faults(Direction::ToNodes, plan);
@@ -497,7 +497,7 @@ fn bytes(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
     heard.iter().flat_map(|(_, bytes)| bytes.clone()).collect()
 }
 
-/// Their numbers, of whole messages.
+/// The numbers of the messages. Each message must be whole.
 fn message_numbers(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
     bytes(heard)
         .chunks(13)
@@ -525,7 +525,7 @@ fn messages_on_rs485_are_lost_doubled_delayed_and_reordered_as_a_whole() {
     }
     let half = FaultPlan { lose: 0.5, ..FaultPlan::NONE };
     let numbers = message_numbers(&messages(1, half));
-    // Five standard deviations around.
+    // Within five standard deviations.
     assert!((25..=75).contains(&numbers.len()), "{}", numbers.len());
     assert!(numbers.is_sorted());
     assert_eq!(messages(1, half), messages(1, half));

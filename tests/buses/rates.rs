@@ -1,5 +1,5 @@
-//! Stations at different bit rates on one bus. What is expected is worked out by hand: on CAN in bits, each a
-//! microsecond at 1 Mbit/s and two at 500 kbit/s; on RS485 as a receiver samples what it sees.
+//! Stations at different bit rates on one bus. Expected values are worked out by hand: on CAN in bits, of one
+//! microsecond at 1 Mbit/s and two at 500 kbit/s; on RS485 from the samples that a receiver takes.
 
 use embedded_can::{Frame as _, StandardId, nb::Can as _};
 use embedded_io::{Read as _, ReadReady as _, Write as _};
@@ -45,12 +45,12 @@ fn starts_us(records: &[Record<SimpleFrame>]) -> Vec<u64> {
     records.iter().filter_map(started).collect()
 }
 
-/// It counts 1 for the frame that it cannot read and 8 for the others' flags behind its own: 15 frames until it
-/// has 128 and disturbs no more. The sender counts 8 each time: 120.
+/// For each frame the stranger counts 1, because it cannot read it, and 8, because the others' error flags follow its
+/// own. After 15 frames it has 128 and disturbs no more. The sender counts 8 for each frame: 120.
 #[test]
 fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
     for (bit_rate, strange, broken_after_us, attempt_us, last_us) in [
-        // Six bits of the stranger, then error frame and intermission, 23 bits of the slower.
+        // Six bits of the stranger. Then error frame and intermission: 23 bits of the slower.
         (FAST, SLOW, 12, 12 + 46, 108),
         (SLOW, FAST, 6, 6 + 46, 216),
     ] {
@@ -75,7 +75,7 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
         assert_eq!(counts(&world, port.station()), (119, 0, ErrorState::Active));
         assert_eq!(counts(&world, listener), (0, 14, ErrorState::Active));
 
-        // From now on it is there and disturbs nobody.
+        // From now on the stranger disturbs nobody.
         for _ in 0..5 {
             port.transmit(&smooth()).unwrap();
         }
@@ -103,10 +103,10 @@ fn of_several_strangers_the_fastest_breaks_a_frame_and_the_slowest_ends_it() {
     }
 }
 
-/// Those that could acknowledge are strangers to it: they break 15 of its frames, and then nobody says anything,
-/// which leads to error-passive and not to bus-off.
+/// All other stations run at another rate. They break 15 of its frames. After that nobody signals an error and nobody
+/// acknowledges, so the sender becomes error-passive but not bus-off.
 #[test]
-fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
+fn a_sender_at_a_rate_of_its_own_is_heard_by_nobody() {
     let world = CanWorld::new(FAST, 1);
     let hands = [(); 2].map(|()| Hand::listening());
     let others = hands.each_ref().map(|hand| world.put(hand));
@@ -114,7 +114,7 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     world.set_bit_rate(port.station(), SLOW);
     let log = world.log();
     port.transmit(&smooth()).unwrap();
-    // 15 times 6 bits of the others and 23 of its own; then 100 bits up to the acknowledge slot.
+    // 15 times 6 bits of the others and 23 of its own. Then 100 bits up to the acknowledge slot.
     world.run_until(micros(15 * (6 + 46) + 199));
     assert_eq!(counts(&world, port.station()), (120, 0, ErrorState::Active));
     world.run_until(micros(15 * (6 + 46) + 200));
@@ -129,7 +129,7 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     assert_eq!(broken(&records).count(), 15);
     assert!(records.iter().any(|record| matches!(record.event, Event::Unacknowledged { .. })));
 
-    // Nobody signals an error with it any more, so that what it cannot read counts 1.
+    // No other station signals errors together with it any more, so a frame that it cannot read counts 1.
     let short = SimpleFrame::new(StandardId::new(1).unwrap(), &[]).unwrap();
     world.port().transmit(&short).unwrap();
     while hands[0].heard().is_empty() {
@@ -137,7 +137,7 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     }
     assert_eq!(counts(&world, port.station()), (128, 1, ErrorState::Passive));
 
-    // At another rate its controller starts anew, without what it had to send.
+    // A new rate restarts its controller and empties its queue.
     world.set_bit_rate(port.station(), FAST);
     assert_eq!(counts(&world, port.station()), (0, 0, ErrorState::Active));
     assert_eq!(world.controller(port.station()).queued, 0);
@@ -149,12 +149,12 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     }
 }
 
-/// Who hears good frames meanwhile is error-active again and again, and drives it off the bus.
+/// The others hear good frames meanwhile, so they become error-active again and again and drive it to bus-off.
 #[test]
 fn a_sender_at_another_rate_goes_bus_off_where_others_talk() {
     let world = CanWorld::new(FAST, 1);
     world.listener();
-    // A low identifier, so that it goes first, and enough to say: 47 bits and 3 of intermission at the least.
+    // Many frames that win arbitration. Each takes at least 47 bits and 3 of intermission.
     let short = SimpleFrame::new(StandardId::new(1).unwrap(), &[]).unwrap();
     world.sender((0..20_000).map(|at| (at * 60, short)));
     let mut port = world.port();
@@ -167,8 +167,8 @@ fn a_sender_at_another_rate_goes_bus_off_where_others_talk() {
     assert_eq!(left.map(|record| record.station), Some(port.station()));
 }
 
-/// At one rate they would be one frame on the wire. Here the second is a stranger to the first, and so is the
-/// listener to the second.
+/// At one rate they would be one frame on the wire. Here the second sender runs at another rate than the first sender
+/// and the listener.
 #[test]
 fn the_same_frame_at_two_rates_is_two_frames() {
     let world = CanWorld::new(FAST, 1);
@@ -180,7 +180,7 @@ fn the_same_frame_at_two_rates_is_two_frames() {
     assert_eq!([first, second].map(|it| world.controller(it).queued), [0, 1]);
 }
 
-/// What a receiver at one rate makes of what is sent at another.
+/// The bytes that a receiver at one rate reads when others are sent at another.
 fn misread(sent: &[u8], sent_at: u32, read_at: u32) -> Vec<u8> {
     let world = SerialWorld::new(sent_at, 1);
     let fellow = world.listener();
@@ -203,14 +203,14 @@ fn misread(sent: &[u8], sent_at: u32, read_at: u32) -> Vec<u8> {
 
 #[test]
 fn a_receiver_at_another_rate_reads_what_it_samples() {
-    // 0x0F is 0 11110000 1 on the line, and at twice the rate 00 11111111 00000000 11: the bits 0 01111111 1,
-    // then 0 00000001 1, the lowest first.
+    // 0x0F is 0 11110000 1 on the line, and sampled at twice the rate 00 11111111 00000000 11: 0 01111111 1,
+    // then 0 00000001 1, lowest bit first.
     assert_eq!(misread(&[0x0F], SLOW, FAST), [0xFE, 0x80]);
-    // 0 00000000 1, twice; at half the rate every second bit of it: 0 00010000 1.
+    // 0 00000000 1, twice. At half the rate every second bit of it is sampled: 0 00010000 1.
     assert_eq!(misread(&[0, 0], FAST, SLOW), [0x08]);
-    // Behind the second bit sampled high, nothing comes any more: the line is idle, high.
+    // After the second bit, sampled high, nothing comes any more: the line is idle, high.
     assert_eq!(misread(&[0], FAST, SLOW), [0xF8]);
-    // So long low that it has no stop bit: a byte nevertheless, and the next edge begins the next.
+    // Low for so long that there is no stop bit. It is a byte nevertheless, and the next edge begins the next byte.
     assert_eq!(misread(&[0, 0], 115_200, FAST), [0, 0]);
     // In the middle of its start bit the line is high again: no byte.
     assert_eq!(misread(&[0x55, 0x55], FAST, SLOW), [0; 0]);
@@ -249,7 +249,7 @@ fn no_frame_is_read_at_another_rate() {
 }
 
 #[test]
-fn a_byte_lasts_ten_bits_of_its_senders_rate_and_who_sends_hears_itself() {
+fn a_byte_and_its_echo_last_ten_bits_of_the_senders_rate() {
     let world = SerialWorld::new(FAST, 1);
     let mut port = world.port_with(TransceiverConfig { echo: true, ..Default::default() });
     world.set_bit_rate(port.station(), 115_200);
@@ -261,10 +261,10 @@ fn a_byte_lasts_ten_bits_of_its_senders_rate_and_who_sends_hears_itself() {
     assert_eq!(heard, [0xA5; 1152]);
 }
 
-/// The acknowledge slot is behind 100 bits. Who has gone before it acknowledges nothing, and who comes in
-/// mid-frame waits for its end: it counts no error, whatever its rate.
+/// The acknowledge slot comes after 100 bits. A station that leaves before it does not acknowledge. A station that
+/// changes in mid-frame waits for the end of the frame and counts no error, whatever its rate.
 #[test]
-fn who_changes_in_mid_frame_has_no_part_in_it() {
+fn a_station_that_changes_in_mid_frame_has_no_part_in_it() {
     type Change = fn(&CanWorld, StationId);
     let changes: [Change; 3] = [
         |world, station| world.reset(station),
@@ -286,7 +286,7 @@ fn who_changes_in_mid_frame_has_no_part_in_it() {
         assert_eq!(world.controller(port.station()).queued, usize::from(at_us < 100));
         assert_eq!(counts(&world, receiver), (0, 0, ErrorState::Active));
     }
-    // Somebody else acknowledges it.
+    // Another station acknowledges the frame.
     for change in changes {
         let (world, mut port, [_, other], [heard, _]) = can(FAST, FAST);
         port.transmit(&smooth()).unwrap();

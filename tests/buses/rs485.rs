@@ -1,5 +1,4 @@
-//! The simulated RS485 line under the virtual clock. Times are counted by hand; a byte lasts ten
-//! bits.
+//! The simulated RS485 line under the virtual clock. Times are counted by hand. A byte lasts ten bits.
 
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
@@ -60,7 +59,7 @@ fn the_roundings_of_many_bytes_do_not_add_up() {
 }
 
 #[test]
-fn only_with_an_echo_one_hears_what_one_sent() {
+fn a_port_hears_its_own_bytes_only_with_an_echo() {
     for echo in [false, true] {
         let (world, ..) = line(1);
         world.mirror();
@@ -99,7 +98,7 @@ fn what_strikes_an_echo_strikes_nothing_else() {
             let flips = in_time.iter().zip(READ_PID).map(|(a, b)| (a ^ b).count_ones());
             assert_eq!((flips.sum::<u32>(), in_time.last(), &later[..]), (1, Some(&7), &[][..]));
         }
-        // A plan of its own goes before that of all; another station's says nothing.
+        // A station's own plan comes before the common one. Another station's plan has no effect.
         world.set_node_faults(answer, Direction::Echo, Some(lost));
         world.set_node_faults(port.station(), Direction::Echo, Some(FaultPlan::NONE));
         port.write_all(&READ_PID).unwrap();
@@ -145,7 +144,7 @@ fn a_line_that_is_still_held_garbles_the_answer() {
         let (world, _, listener) = line(1);
         world.sender([(20, vec![0x42])]);
         let mut port = world.port_with(hold(held_us));
-        // On the line up to 10, held up to 29; the other begins at 20 and ends at 30.
+        // Its byte ends at 10. It holds the line up to 29. The other byte lasts from 20 to 30.
         port.write_all(&[0x11]).unwrap();
         let log = world.log();
         world.run_until(micros(100));
@@ -178,7 +177,7 @@ fn what_is_written_meanwhile_follows_without_a_gap() {
 }
 
 #[test]
-fn whose_cable_is_cut_collides_with_nobody() {
+fn a_station_with_a_cut_cable_collides_with_nobody() {
     let (world, ..) = line(1);
     let stations = [(0, 0x11), (5, 0x22)].map(|(at, byte)| world.sender([(at, vec![byte])]));
     world.cut(stations[1]);
@@ -224,12 +223,12 @@ fn a_collision_garbles_both() {
 
 #[test]
 fn only_what_overlaps_is_garbled() {
-    // The second begins at 25, in the first one's third byte, and ends at 65. The receivers stay in
-    // step with the first one until 40 and fall into the middle of the second one's bytes then.
+    // The second sender begins at 25, in the third byte of the first, and ends at 65. The receivers stay in step with
+    // the first sender until 40. Then they start in the middle of a byte of the second.
     let heard = collide(1, 25);
     assert_eq!(times(&heard), [10, 20, 30, 40, 50, 60, 70]);
     assert_eq!(heard[..2], [(10, vec![0x11]), (20, vec![0x11])]);
-    // One behind the other is no collision.
+    // One after the other is no collision.
     let heard = collide(1, 40);
     assert_eq!(heard.len(), 8);
     assert_eq!(heard[4..], [50, 60, 70, 80].map(|at| (at, vec![0x22])));

@@ -1,6 +1,8 @@
-//! Proves, with random bytes, that nothing received makes the library panic, that what decodes
-//! encodes to a frame that decodes to the same value - commands and replies, CAN, RS485 and JSON -
-//! and that no NaN or infinity gets in.
+//! Proves with random bytes, for commands and replies:
+//!
+//! - Nothing received makes the library panic.
+//! - A value that was decoded encodes to a frame that decodes to the same value, over CAN and RS485. So does its JSON.
+//! - No NaN and no infinity gets in.
 
 use std::fmt::{Debug, Display};
 
@@ -20,7 +22,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{from_str, to_string};
 
-/// Any standard identifier, the protocol's more often than not.
+/// Any standard identifier, mostly one of the protocol's.
 fn any_identifier() -> impl Strategy<Value = u16> {
     let base = prop::sample::select(vec![0x140_u16, 0x240, 0x400, 0x500]);
     prop_oneof![
@@ -41,7 +43,7 @@ fn standard(identifier: u16) -> StandardId {
     StandardId::new(identifier).expect("11 bits")
 }
 
-/// A packet that went over CAN, and over RS485 where it exists there.
+/// The packet as it arrives over CAN and, if RS485 has it, over RS485.
 fn over_the_wires(packet: &Packet) -> Result<Vec<Packet>, TestCaseError> {
     let frame: SimpleFrame = can::encode(packet).expect("SimpleFrame takes eight bytes");
     prop_assert_eq!(SimpleFrame::from_packet(packet), frame);
@@ -49,7 +51,7 @@ fn over_the_wires(packet: &Packet) -> Result<Vec<Packet>, TestCaseError> {
         return Err(TestCaseError::fail(format!("{frame:?} is no packet")));
     };
     let mut over = vec![over_can];
-    // The title of 5, 4.1, and 2.34.1.
+    // See the title of 5, 4.1, and 2.34.1.
     let is_on_can_only = match packet.channel {
         Channel::Motion(_) | Channel::MotionReply(_) => true,
         Channel::BusId => packet.data[0] != 0x79,
@@ -88,7 +90,7 @@ impl<T> Side<T>
 where
     T: PartialEq + Copy + Debug + Display + Serialize + DeserializeOwned,
 {
-    /// What a packet means to a firmware, which is the same when it was encoded again.
+    /// What a packet means to a firmware. Encoded and decoded again, it means the same.
     fn decode_twice(&self, packet: &Packet, firmware: Firmware) -> Result<T, DecodeError> {
         let value = (self.decode)(packet, firmware)?;
         let again = Packet { data: (self.encode)(&value), ..*packet };
@@ -96,8 +98,8 @@ where
         Ok(value)
     }
 
-    /// What a packet means goes over every wire and comes back, and through JSON and text. Returns why
-    /// it means nothing.
+    /// Checks that the value of a packet comes back over every wire and from JSON, and prints with its name. If the
+    /// packet has no value, returns why.
     fn check(
         &self,
         packet: &Packet,
@@ -115,7 +117,7 @@ where
         prop_assert!(kind.is_none_or(|opcode| opcode.is_in(firmware)), "{}", value);
         let again = Packet { data: (self.encode)(&value), ..*packet };
         for again in over_the_wires(&again)? {
-            // On RS485 the command byte says what is about the bus id, not the channel.
+            // On RS485 the command byte shows what is about the bus id, not the channel.
             let is_on_channel = again.channel == packet.channel;
             prop_assert!(is_on_channel || kind.is_none(), "{} {}", again, packet);
             prop_assert!(
@@ -209,7 +211,7 @@ proptest! {
 
     #[test]
     fn a_quantity_takes_no_number_that_it_cannot_hold(bits in any::<u32>(), small in -1e6_f32..1e6) {
-        // A fraction of a step too, of either sign.
+        // Fractions of a step, too, of either sign.
         for value in [f32::from_bits(bits), small, small / 1e6, 0.0, -0.0] {
             check_quantities(value)?;
         }
@@ -226,7 +228,7 @@ macro_rules! check_quantity {
         let (min, max) = (f64::from($type::MIN.$to()), f64::from($type::MAX.$to()));
         let quantity = const { &$type::QUANTITY };
         let (value, step) = (f64::from($value), quantity.amount(1));
-        // Their 0 means no limit (2.20.1, 2.21.1) or no planning (2.20.2, 2.21.1).
+        // Types whose 0 means no limit (2.20.1, 2.21.1) or no planning (2.20.2, 2.21.1).
         let is_limit = ["MaxSpeed", "MaxTorque", "Acceleration"].contains(&stringify!($type));
         prop_assert_eq!(near.is_ok(), !value.is_nan(), "{:?}", near);
         if let Ok(near) = near {
@@ -235,14 +237,13 @@ macro_rules! check_quantity {
             prop_assert!(is_off || (min <= amount && amount <= max), "{} {}", value, near);
         }
         match made {
-            // The nearest step and the saturating way agree, and it lies within half a step and what
-            // an f32 keeps of the value.
+            // Both conversions agree. The result is within half a step of the value and what an f32 keeps of it.
             Ok(made) => {
                 prop_assert_eq!(near, Ok(made));
                 let error = (f64::from(made.$to()) - value).abs();
                 prop_assert!(error <= step / 2.0 + 1e-6 * value.abs(), "{}", value);
             }
-            // Refused is only what lies outside, give or take half a step.
+            // Only values outside the range are refused, give or take half a step.
             Err(error) => {
                 let inside = value > min + step / 2.0 && value < max - step / 2.0;
                 let at_end = value.abs() >= 2e7; // where an f32 no longer holds every step
@@ -250,13 +251,13 @@ macro_rules! check_quantity {
                 prop_assert!(error.given.value().is_nan() == value.is_nan());
             }
         }
-        // As tools take it.
+        // As tools convert it.
         let nearest = quantity.nearest(value).ok();
         if let Some(steps) = nearest {
             let error = (steps as f64 * step - value).abs();
             prop_assert!(error <= step / 2.0 + 1e-9 * value.abs(), "{} {}", value, steps);
         }
-        // Nothing else than 0 becomes a 0 that means something of its own.
+        // Only 0 becomes a 0 with a meaning of its own.
         for raw in [made.ok().map($type::raw), near.ok().map($type::raw)] {
             prop_assert!(!is_limit || (raw == Some(0)) == (value == 0.0), "{} {:?}", value, raw);
         }
@@ -323,7 +324,7 @@ fn short_remote_and_extended_frames_are_told_apart() {
             };
             assert_eq!(can::decode(&frame), expected);
         }
-        // Also those whose number is one of the protocol's.
+        // Extended frames, including those with a number of the protocol's.
         for raw in [u32::from(identifier), u32::from(identifier) << 18 | 0x155] {
             let id = ExtendedId::new(raw).expect("29 bits");
             for length in [1, 8] {
@@ -348,7 +349,7 @@ fn json_is_checked_like_a_constructor() {
     takes::<Acceleration>(&["0", "100", "60000"], &["0.4", "99", "60001"]);
     takes::<MaxSpeed>(&["0", "1"], &["0.4", "-1", "65536"]);
     takes::<SingleTurnTarget>(&["360"], &["360.01", "-0.01"]);
-    // JSON has no NaN and no infinity: null, and numbers that no f32 holds.
+    // JSON has no NaN and no infinity. Instead: null, and a number too large for an f32.
     takes::<Gain>(&["1.5"], &["null", "1e39"]);
     takes::<Switch>(&[r#""on""#], &["2", r#""2""#]);
 }

@@ -1,9 +1,11 @@
-//! Proves, field by field, that every command and every reply lies on the bus as the manual's
-//! layout tables say: distinct bytes land in exactly their field, nothing leaks into its neighbours,
-//! NULL bytes are written 0 and not read, and what a field may not hold is refused.
+//! Proves, field by field, that every command and every reply has the layout of the manual's tables:
 //!
-//! The layouts are the manual's, typed by hand in `vectors/kinds.txt`: what has a place of its own as a
-//! table, what has fields that depend on one another, or share bytes, as cases.
+//! - Distinct bytes land in exactly their field. Nothing leaks into its neighbours.
+//! - NULL bytes are written as 0 and not read.
+//! - A number that a field may not hold is refused.
+//!
+//! The layouts are the manual's, typed by hand in `vectors/kinds.txt`: as a table if every field has a place of its
+//! own, as cases if fields depend on one another or share bytes.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -53,7 +55,7 @@ impl Row {
         let [key, first, kind] = text.split(':').collect::<Vec<_>>()[..] else { panic!("{text}") };
         let (kind, step) = kind.split_once('*').unwrap_or((kind, "1"));
         let (bytes, ranges) = bytes_and_ranges(kind);
-        // A float with the bits 1 is the smallest that there is.
+        // The float with the bits 1 is the smallest.
         let step = if kind == "f32" { f32::from_bits(1).into() } else { step.parse().expect(text) };
         Self { key, first: first.parse().expect(text), bytes, ranges, step }
     }
@@ -107,7 +109,7 @@ const REPLY: Side<AnyReply> = Side {
 };
 
 impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
-    /// These bytes decode to a value that encodes to them, whatever the NULL bytes hold.
+    /// Checks that these bytes decode to a value that encodes to them, whatever the NULL bytes hold.
     fn check_bytes(&self, opcode: Opcode, data: Data, nulls: &[usize]) -> T {
         let what = format!("{opcode}, {}: {data:02X?}", self.heading);
         let value = (self.decode)(opcode, &data).unwrap_or_else(|error| panic!("{what}: {error}"));
@@ -153,12 +155,12 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
 
         let nothing = [byte, 0, 0, 0, 0, 0, 0, 0];
         let base = self.check_bytes(opcode, nothing, &nulls);
-        // Low bytes and such with the sign's bit, in each field by itself and in all together.
+        // Low bytes, and bytes with the sign bit, in each field alone and in all together.
         for salt in [0x10, 0x80] {
             let pattern = std::array::from_fn(|place| salt + place as u8);
             let mut together = (nothing, nothing);
             for (field, row) in fields.iter().zip(&rows) {
-                // What is too large for this field is its largest.
+                // If that is too large for this field, its largest number.
                 let raw = Some(row.read(&pattern)).filter(|&raw| row.allows(raw));
                 let raw = raw.unwrap_or(row.ranges[row.ranges.len() - 1].1);
                 let mut alone = (nothing, nothing);
@@ -177,7 +179,7 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
         }
     }
 
-    /// Both ends of what a field may hold are allowed, their neighbours refused.
+    /// Checks that both ends of each range are allowed and their neighbours refused.
     fn check_range(&self, opcode: Opcode, nothing: Data, field: &Field, row: &Row) {
         assert_eq!(field.quantity.amount(1), row.step, "{opcode}: {field:?}");
         for raw in row.ranges.iter().flat_map(|&(min, max)| [min - 1, min, max, max + 1]) {

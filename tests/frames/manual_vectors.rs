@@ -1,7 +1,7 @@
-//! Proves that every example frame of the manual decodes to what the text beside it says and
-//! encodes back to the same bytes, on both buses. The rows and their misprints are in `vectors/`.
+//! Proves, on both buses, that every example frame of the manual decodes to what the text beside it says and encodes
+//! back to the same bytes. The rows and their misprints are in `vectors/`.
 //!
-//! No example of the manual prints a NULL byte other than 0, so no row is excepted.
+//! In every example the NULL bytes are 0, so there are no exceptions.
 
 use std::collections::BTreeMap;
 
@@ -14,8 +14,8 @@ use myactuator_protocol_core::{AnyCommand, AnyReply, Firmware, Opcode, Packet};
 use myactuator_tests::vectors::{Bus, Direction, Row, rows};
 use serde_json::Value;
 
-/// Compares numbers by value: whole ones exactly, others to 1e-5, as an `f32` keeps of a motion
-/// scale 90 rad/s wide.
+/// Compares numbers by value: whole ones exactly, others to 1e-5, which is what an `f32` keeps of a motion scale
+/// 90 rad/s wide.
 fn agree(expected: &Value, found: &Value) -> bool {
     match (expected, found) {
         (Value::Number(expected), Value::Number(found)) => {
@@ -26,8 +26,7 @@ fn agree(expected: &Value, found: &Value) -> bool {
     }
 }
 
-/// Checks that a row's packet means what the manual says, and that its meaning is encoded as these
-/// bytes and printed.
+/// Checks that a row's packet means what the manual says, and that its value encodes to these bytes and prints.
 fn check(row: &Row, packet: &Packet) {
     assert_eq!(*packet, Packet { channel: row.channel(), data: row.data() }, "{row}");
     let opcode = row.opcode;
@@ -52,7 +51,7 @@ fn check(row: &Row, packet: &Packet) {
         let value = found.get(key).unwrap_or_else(|| panic!("{row}: no {key} in {found:?}"));
         assert!(agree(expected, value), "{row}: {key} is {expected}, found {value}");
     }
-    // A code, a flag set and a motion value come in two forms, of which the row has one at least.
+    // A code, a flag set and a motion value have two forms each. The row has at least one of them.
     let there: Vec<_> = fields.iter().filter(|field| field.is_in(&packet.data)).collect();
     for key in found.keys() {
         let told = |key: &String| row.fields.contains_key(key);
@@ -135,7 +134,7 @@ fn the_two_buses_have_the_same_examples() {
             continue;
         };
         assert_eq!((can.opcode, &can.fields), (twin.opcode, &twin.fields), "{can} and {twin}");
-        // 4.4 tells the id as a reply identifier, 7.4 as the bare number.
+        // 4.4 has the id as a reply identifier, 7.4 as the bare number.
         let told_apart = can.section == "4.4"
             && can.direction == Direction::Reply
             && can.fields["access_raw"] == 1;
@@ -148,8 +147,8 @@ fn the_two_buses_have_the_same_examples() {
     assert_eq!(alone, ["2.34.4", "5.4", "5.4"], "CAN rows without an RS485 row");
 }
 
-/// How many rows of a section the manual contradicts itself about; `vectors/README.md` says how each
-/// is read.
+/// The number of rows of each section in which the manual contradicts itself. `vectors/README.md` says how each is
+/// read.
 #[test]
 fn the_misprints_are_the_listed_ones() {
     let rows = rows();

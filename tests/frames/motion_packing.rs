@@ -1,6 +1,8 @@
-//! Proves motion mode's packing and scales (manual 5) exhaustively: every position, every step of
-//! each 12-bit field, both directions, against bytes that are put together here as one bit string;
-//! and that quantisation takes the nearest step, refuses what is no number and follows its ranges.
+//! Proves motion mode's packing and scales (manual 5):
+//!
+//! - Packing, exhaustively: every position and every step of each 12-bit field, in both directions, against bytes that
+//!   are put together here as one bit string.
+//! - Quantisation takes the nearest step, refuses what is no number, and follows its ranges.
 
 use embedded_can::{Frame as _, StandardId};
 use myactuator_host_std::explain::Explainer;
@@ -48,7 +50,7 @@ fn reply_bits([id, p, v, t]: [u16; 4]) -> Data {
     bits.to_be_bytes()
 }
 
-/// Both directions of a command, by every way that the library offers.
+/// Checks encoding and decoding of a command, in every way that the library offers.
 fn check_command(steps: [u16; 5]) {
     let raw = raw(steps);
     let bytes = command_bits(steps);
@@ -61,7 +63,7 @@ fn feedback([id, position, v, t]: [u16; 4]) -> RawMotionFeedback {
     RawMotionFeedback { id_byte: id as u8, position, velocity: u12(v), torque: u12(t) }
 }
 
-/// Both directions of a reply.
+/// Checks encoding and decoding of a reply.
 fn check_reply(fields: [u16; 4]) {
     let raw = feedback(fields);
     let bytes = reply_bits(fields);
@@ -71,7 +73,7 @@ fn check_reply(fields: [u16; 4]) {
     assert_eq!(AnyReply::Motion(raw).encode(), bytes);
 }
 
-/// A command of all zeros or all ones but for one field.
+/// A command with one field set and all others zeros, or all others ones.
 fn with(field: usize, step: u16, others_full: bool) -> [u16; 5] {
     let mut steps = if others_full { LAST } else { [0; 5] };
     steps[field] = step;
@@ -95,8 +97,8 @@ fn every_step_of_each_field_packs_and_unpacks() {
     (0..=255).for_each(|id| check_reply([id, 0x1234, 0x567, 0x89A]));
 }
 
-/// 5.4 allows the ids 0 to 32 in DATA[0] of the reply on 0x501. Who answers is told by the identifier, in
-/// every layer; the master's has a unit test.
+/// 5.4 allows the ids 0 to 32 in DATA[0] of the reply on 0x501. In every layer the identifier decides which motor
+/// answers. The master has a unit test of it.
 #[test]
 fn who_answers_is_told_by_the_identifier() {
     for id_byte in [0, 1, 2, 33, 0xFF] {
@@ -133,7 +135,7 @@ fn set_point([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> Mot
     MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm }
 }
 
-/// All 0 but one.
+/// All 0 except one.
 fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
     let mut all = [T::default(); 5];
     all[place] = value;
@@ -151,7 +153,7 @@ struct Scale {
     last: u16,
 }
 
-/// The five scales with these ends, from zero or as far to the negative side (5.1).
+/// The five scales with these ends. They begin at zero, or as far on the negative side (5.1).
 fn scales(maxima: [f32; 5]) -> impl Iterator<Item = Scale> {
     let ranges = MotionRanges::new(limits(maxima)).expect("positive limits");
     let starts = [
@@ -217,8 +219,8 @@ impl Scale {
         f64::from(self.min) + place * self.step()
     }
 
-    /// What three roundings to an `f32` (difference, product, quotient), each of at most 2^-24 of the
-    /// result, can move a step on this scale: 0.012 of a step of 65536, 0.0008 of one of 4096.
+    /// How far three roundings to an `f32` (difference, product, quotient) can move a value, in steps. Each is at most
+    /// 2^-24 of the result. Together: 0.012 of a step of 65536, 0.0008 of one of 4096.
     fn slack(&self) -> f64 {
         3.1 * f64::from(self.last) / f64::from(1 << 24)
     }

@@ -1,7 +1,7 @@
-//! Proves that the RS485 receiver never returns a wrong frame and never loses a good one, whatever
-//! lies before, between and behind: split and cut-off frames, flipped bits, dice with 0x3E in it,
-//! frames inside bad frames. After each byte the bytes fed add up to those discarded, returned and
-//! held. Frames and CRC are built here, bit by bit, without the library.
+//! Proves that the RS485 receiver never returns a wrong frame and never loses a good one, whatever comes before,
+//! between and after frames: split and cut-off frames, flipped bits, random bytes with many 0x3E, frames inside bad
+//! frames. After each byte, the bytes discarded, returned and held add up to the bytes fed. Frames and CRC are built
+//! here, bit by bit, without the library.
 
 use myactuator_protocol_core::Target;
 use myactuator_protocol_core::wire::rs485::{Fault, Fed, Frame, Receiver};
@@ -58,8 +58,7 @@ fn frames_by_window(bytes: &[u8]) -> Vec<[u8; 13]> {
     found
 }
 
-/// A receiver that is checked after every byte: what it discarded, returned as frames and still
-/// holds adds up to what it was fed.
+/// A receiver that is checked after every byte.
 #[derive(Default)]
 struct Line {
     receiver: Receiver,
@@ -70,7 +69,7 @@ struct Line {
 }
 
 impl Line {
-    /// A line on which these bytes were said.
+    /// The line after these bytes.
     fn after(bytes: &[u8]) -> Self {
         let mut line = Self::default();
         line.feed(bytes);
@@ -102,7 +101,7 @@ impl Line {
     }
 }
 
-/// A byte as noise that hurts a receiver most has it: often 0x3E, an address or a length.
+/// A random byte of the kind that confuses a receiver most: often 0x3E, an address or a length.
 fn nasty_byte(dice: &mut Dice) -> u8 {
     match dice.below(8) {
         0..=2 => 0x3E,
@@ -115,11 +114,11 @@ fn nasty_byte(dice: &mut Dice) -> u8 {
 
 const START: [u8; 3] = [0x3E, 0x01, 0x08];
 
-/// Good frames of every kind: plain, both ends of the addresses, all ones, and such as hold 0x3E,
-/// or what looks like the start of a frame, in their data.
+/// Good frames of every kind: plain ones, both ends of the addresses, all ones, and frames with 0x3E or what looks like
+/// the start of a frame in their data.
 fn good_frames() -> Vec<[u8; 13]> {
     vec![
-        // 2.1.5, with the CRC that MODBUS has for it.
+        // 2.1.5, with the CRC of MODBUS.
         [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD],
         frame_bytes(32, [0xA4, 0x00, 0xF4, 0x01, 0xA0, 0x8C, 0x00, 0x00]),
         frame_bytes(0xCD, [0x80, 0, 0, 0, 0, 0, 0, 0]),
@@ -131,7 +130,7 @@ fn good_frames() -> Vec<[u8; 13]> {
     ]
 }
 
-/// The frames that come out of a line on which these bytes were said.
+/// The frames that come out of these bytes.
 fn received(bytes: &[u8]) -> Vec<[u8; 13]> {
     Line::after(bytes).frames
 }
@@ -142,7 +141,7 @@ fn flipped(mut frame: [u8; 13], bits: &[usize]) -> [u8; 13] {
     frame
 }
 
-/// These bytes are no frame, and every frame behind them comes out.
+/// Checks that these bytes are no frame and that every frame after them comes out.
 fn assert_hides_none(bad: &[u8], behind: &[[u8; 13]]) {
     for good in behind {
         let line = Line::after(&[bad, good, bad, good, good].concat());
@@ -153,7 +152,7 @@ fn assert_hides_none(bad: &[u8], behind: &[[u8; 13]]) {
 
 #[test]
 fn the_crc_is_modbuss() {
-    // The check value that catalogues of CRCs give.
+    // The check value in catalogues of CRCs.
     assert_eq!(crc16_modbus(b"123456789"), 0x4B37);
     // The example of section 2.1.5: E8 DD follows.
     assert_eq!(crc16_modbus(&good_frames()[0][..11]), 0xDDE8);
@@ -195,7 +194,7 @@ fn only_the_protocols_addresses_and_length_make_a_frame() {
 }
 
 #[test]
-fn it_tells_what_was_wrong() {
+fn it_reports_what_was_wrong() {
     let feed_all = |bytes: &[u8]| {
         let mut receiver = Receiver::new();
         bytes.iter().map(|&byte| receiver.feed(byte)).last()
@@ -276,8 +275,8 @@ fn two_flipped_bits_make_no_frame_and_hide_none() {
 }
 
 #[test]
-fn a_bad_start_or_a_cut_off_frame_hides_none_behind_it() {
-    // Beginnings that a receiver has to hold on to: it cannot tell yet that they are none.
+fn a_bad_start_or_a_cut_off_frame_hides_none_after_it() {
+    // Bytes that a receiver has to hold, because a frame may begin with them.
     for start in [START, [0x3E, 0x20, 0x08], [0x3E, 0xCD, 0x08], [0x3E; 3]] {
         for length in 0..=3 {
             for repeated in 1..=20 {
@@ -332,7 +331,7 @@ fn noise_between_frames_makes_no_frame_and_hides_none() {
             sent.push(frame);
         }
         let line = Line::after(&bytes);
-        // What a look at the whole recording finds, and, the seed being fixed, just what was sent.
+        // The frames that a search of the whole recording finds. With this seed they are exactly those sent.
         assert_eq!(line.frames, frames_by_window(&bytes));
         assert_eq!(line.frames, sent);
         assert_eq!(line.discarded + 13 * sent.len(), bytes.len());

@@ -1,6 +1,9 @@
-//! Proves that the table of opcodes, the types and the manual agree: each kind is unique, has an
-//! example in the manual, a section that exists and names its command byte, the reply rule that the
-//! examples show, and the buses that it is shown on.
+//! Proves that the table of opcodes, the types and the manual agree. Each kind is unique and has:
+//!
+//! - an example in the manual, unless `kinds.txt` says that there is none;
+//! - a section that exists and names its command byte;
+//! - the reply rule that the examples show;
+//! - the buses on which the examples show it.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -67,8 +70,7 @@ fn the_kinds_are_those_of_the_manual() {
         let lines = entries("kind").filter(|entry| entry.opcode == opcode);
         assert_eq!(lines.count(), 1, "lines in kinds.txt for {opcode}");
     }
-    // Every command byte that a heading of the manual names, two digits in parentheses; 4 and 7 are
-    // the same command.
+    // Every command byte in a heading of the manual: two digits in parentheses. 4 and 7 are the same command.
     let named: BTreeSet<u8> = sections()
         .values()
         .filter_map(|heading| heading.split_once("(0x")?.1.strip_suffix(')'))
@@ -80,7 +82,7 @@ fn the_kinds_are_those_of_the_manual() {
     assert!(known.filter(|opcode| opcode.byte().is_none()).eq([Opcode::Motion]));
 }
 
-/// What `kinds.txt` has to say of a kind: how it is answered, and what is not as with most kinds.
+/// What `kinds.txt` must say of a kind: how it is answered, and where it differs from most kinds.
 fn facts(opcode: Opcode) -> Vec<String> {
     let mut facts = vec![format!("{:?}", opcode.reply_rule())];
     facts.extend(opcode.key_byte().map(|place| format!("key-{place}")));
@@ -228,13 +230,13 @@ fn channels_are_those_that_the_examples_show() {
 }
 
 #[test]
-fn a_types_kind_is_the_tables() {
+fn each_type_has_its_own_row_of_the_table() {
     for &opcode in Opcode::ALL {
         let mut data = [opcode.byte().unwrap_or(0), 0, 0, 0, 0, 0, 0, 0];
         data[7] = u8::from(opcode == Opcode::BusId); // an id that exists
         let command = AnyCommand::decode_as(opcode, &data).expect("a command of zeros");
         assert_eq!((command.opcode(), command.kind()), (Some(opcode), Kind::Known(opcode)));
-        // A table row that two types shared would show here.
+        // If two types shared a row of the table, it would show here.
         let to_all = command.packet(Target::All);
         let packet = to_all.or_else(|_| command.packet(MotorId::MIN.into())).expect("a packet");
         assert_eq!(packet.data, data, "{opcode}");

@@ -1,5 +1,8 @@
-//! Proves that codes and error flags are the manual's, typed by hand, that a code or a function without a
-//! name can never be one with a name, and that a value which another field does not allow is refused.
+//! Proves about values:
+//!
+//! - Codes and error flags are the manual's, typed by hand.
+//! - A code or a function without a name never equals one with a name.
+//! - A value that another field does not allow is refused.
 
 use std::fmt::Debug;
 
@@ -65,7 +68,7 @@ fn a_function_without_a_name_is_none_with_a_name() {
     }
 }
 
-/// Every code that the manual names, with its number and its name here, and no other.
+/// Checks that exactly these codes have names, with these numbers.
 fn check_codes<T>(
     make: fn(u8) -> T,
     raw: fn(T) -> u8,
@@ -179,7 +182,7 @@ fn error_flags_and_levels_are_those_of_2_14_3_and_8_2() {
     for (bits, flag, level) in manual {
         assert_eq!((flag.bits(), flag.level()), (bits, level), "{flag}");
         assert!(flag.name().is_some() && flag.description().is_some());
-        // Only what recovers by itself needs no restart.
+        // Only errors that recover on their own need no restart.
         assert_eq!(flag.needs_restart(), level != Some(Two), "{flag}");
     }
     assert_eq!(ErrorFlags::NAMED, manual.map(|(_, flag, _)| flag));

@@ -1,4 +1,4 @@
-//! 1, 3, 4, 6, 7: who hears a command, and who answers where.
+//! 1, 3, 4, 6, 7: which drives hear a command, and on which channel they answer.
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{Bus, Event, IgnoreReason, Parameters};
@@ -46,7 +46,7 @@ fn replies_come_on_their_channels() {
     assert_eq!(channel(Channel::Motion(ID), [0x80; 8]), Channel::MotionReply(ID));
 }
 
-/// 1.1.2: a command at another's identifier, and another's reply, change nothing.
+/// 1.1.2: a command at another drive's identifier changes nothing, nor does another drive's reply.
 #[test]
 fn what_is_for_others_is_not_heard() {
     let mut bench = Bench::default();
@@ -75,7 +75,7 @@ fn a_command_to_all_is_obeyed_and_answered_by_each() {
     }
 }
 
-/// 4.4, 7.4: 0x79 reads the id, on CAN as a reply identifier and on RS485 bare, and sets it.
+/// 4.4, 7.4: 0x79 reads the id (on CAN as a reply identifier, on RS485 bare) and sets it.
 #[test]
 fn the_bus_id_is_read_and_set() {
     for (bus, told) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
@@ -92,7 +92,7 @@ fn the_bus_id_is_read_and_set() {
     }
 }
 
-/// 4.1, 7.1: all that are connected take a new id; their replies, which look like commands, end there.
+/// 4.1, 7.1: all connected drives take a new id. Their replies look like commands, but no drive answers them.
 #[test]
 fn several_drives_take_the_same_id_and_do_not_answer_each_other() {
     for bus in [Bus::Can, Bus::Rs485] {
@@ -117,7 +117,7 @@ fn several_drives_take_the_same_id_and_do_not_answer_each_other() {
     }
 }
 
-/// 2.34.1: CAN only; RS485 does not have it. 5: nor motion mode.
+/// 2.34.1: active replies exist on CAN only. 5: so does motion mode.
 #[test]
 fn active_reply_and_motion_are_not_on_rs485() {
     let mut bench = Bench::on_rs485();
@@ -158,8 +158,7 @@ fn a_command_to_all_is_one_to_each() {
     }
 }
 
-/// 2.1.4, 2.4.4, 2.22.1, 2.34.2, 2.35.4, 4.1: what is not among those that the manual names has neither
-/// effect nor answer.
+/// 2.1.4, 2.4.4, 2.22.1, 2.34.2, 2.35.4, 4.1: a value that the manual does not name has neither effect nor answer.
 #[test]
 fn what_the_manual_does_not_name_has_no_answer() {
     let mut bench = Bench::default();

@@ -1,4 +1,4 @@
-//! Commands that several chapters send, and what they look at.
+//! Commands and measurements that several chapters share.
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::Measurement;
@@ -16,24 +16,24 @@ pub(super) fn plan(bench: &mut Bench, index: AccelerationIndex, dps2: u32) {
     bench.write(WriteAcceleration { index, acceleration });
 }
 
-/// 0xA8 by this angle, at 500 dps at the most.
+/// 0xA8 by this angle, at no more than 500 dps.
 pub(super) fn on_by(angle_deg: f32) -> IncrementalPosition {
     IncrementalPosition { max_speed: up_to(500), angle: degrees(angle_deg) }
 }
 
-/// 0xA9 to this angle, at 500 dps at the most.
+/// 0xA9 to this angle, at no more than 500 dps.
 pub(super) fn force_to(angle_deg: f32, torque_percent: u8) -> ForcePosition {
     let (max_torque, max_speed) = (percent(torque_percent), up_to(500));
     ForcePosition { max_torque, max_speed, angle: degrees(angle_deg) }
 }
 
-/// 0xA6 to this angle within a turn, at 500 dps at the most.
+/// 0xA6 to this angle within a turn, at no more than 500 dps.
 pub(super) fn within_a_turn(direction: Direction, angle_deg: f32) -> SingleTurnPosition {
     let angle = SingleTurnTarget::from_degrees(angle_deg).unwrap();
     SingleTurnPosition { direction, max_speed: up_to(500), angle }
 }
 
-/// Carries the command out for 1.5 s, after which the shaft is at this angle.
+/// Runs the command for 1.5 s and checks that the shaft is then at this angle.
 #[track_caller]
 pub(super) fn ends_at<C: Command + Into<AnyCommand>>(
     bench: &mut Bench,
@@ -44,7 +44,7 @@ pub(super) fn ends_at<C: Command + Into<AnyCommand>>(
     assert!((bench.angle() - angle_deg).abs() < 0.02, "{}, not {angle_deg}", bench.angle());
 }
 
-/// The largest of what `figure` reads off the drive each millisecond of this span.
+/// The largest value that `figure` returns in this span, read every millisecond.
 pub(super) fn most(bench: &mut Bench, span: Duration, figure: fn(&Measurement) -> f32) -> f32 {
     let mut largest = 0.0_f32;
     bench.watch(span, |state| largest = largest.max(figure(&state.measurement)));

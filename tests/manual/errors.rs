@@ -35,8 +35,7 @@ fn a_faulted_drive_still_obeys_the_rest() {
     }
 }
 
-/// 2.14.3: "calibration parameters: write error" is what a failing memory raises; the command is not
-/// acknowledged.
+/// 2.14.3: a failing memory raises "calibration parameters: write error". The command is not acknowledged.
 #[test]
 fn a_failing_memory_is_an_error_and_not_acknowledged() {
     struct Worn;

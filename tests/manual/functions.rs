@@ -8,7 +8,7 @@ use myactuator_tests::values::*;
 
 use super::commands::{TURN, ends_at, force_to, on_by};
 
-/// 2.35.4, function 1: clears the turns, makes the position the zero and saves it; after a restart.
+/// 2.35.4, function 1: clears the turns, makes the position the zero and saves it. It acts after a restart.
 #[test]
 fn function_1_clears_the_turns_after_a_restart() {
     let mut bench = Bench::default();
@@ -25,7 +25,7 @@ fn function_1_clears_the_turns_after_a_restart() {
     assert_eq!(bench.told_angle(), 720.0);
 }
 
-/// 2.35.4, function 2: 0x280 reaches a drive only while its id filter is off; kept after power-off.
+/// 2.35.4, function 2: 0x280 reaches a drive only while its id filter is off. The setting is kept after power-off.
 #[test]
 fn function_2_filters_commands_to_all() {
     let mut bench = Bench::default();
@@ -44,7 +44,7 @@ fn function_2_filters_commands_to_all() {
     assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
 }
 
-/// 2.35.4, function 4: on, the turns are saved at power-off; off, they are lost. After a restart.
+/// 2.35.4, function 4: on, the turns are saved at power-off; off, they are lost. It acts after a restart.
 #[test]
 fn function_4_saves_the_turns() {
     for (on, restarted, kept) in
@@ -97,8 +97,8 @@ fn functions_6_and_7_limit_positions() {
     }
 }
 
-/// 2.35.4, functions 6 and 7: "at once" is for a motor on its way, too. A limit ends its motion there; a
-/// motor that is beyond already is not brought back, as setting a limit is no command to move.
+/// 2.35.4, functions 6 and 7: "at once" applies to a moving motor, too. A new limit ends its motion there. A motor that
+/// is already beyond the limit is not brought back, because setting a limit is no command to move.
 #[test]
 fn a_limit_ends_the_motion_under_way() {
     for sign in [1, -1] {
@@ -119,8 +119,8 @@ fn a_limit_ends_the_motion_under_way() {
     }
 }
 
-/// 2.35.4, function 3: what is measured, once a millisecond, is an error after its confirm time and reported then:
-/// the drive asks to be called for it.
+/// 2.35.4, function 3: the drive measures once a millisecond. A fault is an error after its confirm time and is
+/// reported then: the drive asks to be called at that time.
 #[test]
 fn an_error_that_is_measured_is_reported_at_once() {
     for confirm_ms in [3, 8, 13] {

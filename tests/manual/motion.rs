@@ -83,8 +83,8 @@ fn speed_is_reached_either_way() {
     }
 }
 
-/// 2.20.2, remark 2, 2.4.4: the speed planning accelerations limit how fast the speed changes; 3: with 0
-/// only the current does.
+/// 2.20.2, remark 2, 2.4.4: the speed planning accelerations limit how fast the speed changes. Remark 3: with 0 only
+/// the current limits it.
 #[test]
 fn speed_follows_its_ramps() {
     let mut bench = Bench::default();
@@ -103,8 +103,8 @@ fn speed_follows_its_ramps() {
     assert!((bench.speed() - 1_000.0).abs() < 60.0, "{}", bench.speed());
 }
 
-/// 2.4.4: the deceleration is "in the same direction", the acceleration "includes both directions": a
-/// reversal is one acceleration from end to end.
+/// 2.4.4: the deceleration is "in the same direction", the acceleration "includes both directions". So a reversal is
+/// one acceleration from end to end.
 #[test]
 fn a_reversal_is_an_acceleration() {
     let mut bench = Bench::default();
@@ -115,13 +115,13 @@ fn a_reversal_is_an_acceleration() {
     assert!(bench.speed().abs() < 10.0, "{}", bench.speed());
     bench.run(millis(95));
     assert!((bench.speed() + 95.0).abs() < 8.0, "{}", bench.speed());
-    // 0 has no direction: a way to it is a deceleration.
+    // 0 has no direction: the way to it is a deceleration.
     bench.go(turn(0.0), millis(195));
     assert!((bench.speed() + 60.0).abs() < 8.0, "{}", bench.speed());
 }
 
-/// 2.20.1: maxTorque is a percentage of the rated current; 0, or above the stall current, is no limit
-/// but the stall current.
+/// 2.20.1: maxTorque is a percentage of the rated current. If it is 0, or above the stall current, only the stall
+/// current limits.
 #[test]
 fn speed_mode_limits_its_torque() {
     for (limit, largest) in [(50, 3.0), (100, 6.0), (0, 12.0), (255, 12.0)] {
@@ -144,7 +144,7 @@ fn a_shaft_that_was_held_back_does_not_jump() {
         bench.drive.plant_mut().friction_nm_s = 1e9;
         bench.go(go, millis(600));
         bench.drive.plant_mut().friction_nm_s = 0.05;
-        // Without a shutdown between, a new command is a new motion all the same.
+        // Even without a shutdown in between, a new command is a new motion.
         if shut_down {
             bench.write(Shutdown);
         }
@@ -175,7 +175,7 @@ fn an_absolute_position_is_planned() {
     assert!((speeds[835] - 250.0).abs() < 20.0, "{}", speeds[835]); // 250 ms before the end
 }
 
-/// 2.4.4: the deceleration is its own; where it is 0, the acceleration serves for both.
+/// 2.4.4: the deceleration has a value of its own. If that is 0, the acceleration serves for both.
 #[test]
 fn a_deceleration_of_zero_is_the_accelerations() {
     for (deceleration, speed_near_the_end) in [(0, 200.0), (500, 141.0)] {
@@ -260,8 +260,8 @@ fn an_incremental_position_adds_up() {
     }
 }
 
-/// 2.24.1: 0xA9 goes to a position with its torque limited to a percentage of the rated current; above
-/// the stall current it is not limited.
+/// 2.24.1: 0xA9 goes to a position with its torque limited to a percentage of the rated current. Above the stall
+/// current it is not limited.
 #[test]
 fn a_force_position_limits_its_torque() {
     for (limit, largest) in [(0, 0.0), (10, 0.6), (60, 3.6), (255, 12.0)] {
@@ -274,8 +274,8 @@ fn a_force_position_limits_its_torque() {
     ends_at(&mut Bench::default(), force_to(360.0, 60), 360.0);
 }
 
-/// 2.25.3 names three modes, each a loop; 2.17.1: 0x80 "clears the running state", so that no loop runs.
-/// Nor does one before the first command, or after an error.
+/// 2.25.3 names three modes, each a loop. 2.17.1: 0x80 "clears the running state". No loop runs after it, before the
+/// first command, or after an error.
 #[test]
 fn in_no_mode_0x70_tells_0() {
     let none = Mode::from_raw(0);
@@ -337,7 +337,7 @@ fn no_position_command_exceeds_its_speed() {
     }
 }
 
-/// 2.23.1: "the current position is the starting point", also of a motor that is on its way.
+/// 2.23.1: "the current position is the starting point", also for a moving motor.
 #[test]
 fn an_incremental_position_counts_from_where_the_shaft_is() {
     let mut bench = Bench::default();
@@ -347,7 +347,7 @@ fn an_incremental_position_counts_from_where_the_shaft_is() {
     ends_at(&mut bench, on_by(90.0), here + 90.0);
 }
 
-/// 2.21.1, 2.24.1: with 0xA9, too, the direction follows from target and position.
+/// 2.21.1, 2.24.1: the direction follows from target and position with 0xA9, too.
 #[test]
 fn a_force_position_is_gone_to_from_either_side() {
     let mut bench = Bench::default();

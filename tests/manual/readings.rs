@@ -1,4 +1,4 @@
-//! 2.6 to 2.16, 2.29, 2.30, 2.33: a reading tells what is measured.
+//! 2.6 to 2.16, 2.29, 2.30, 2.33: a reading returns what is measured.
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::Parameters;
@@ -22,8 +22,8 @@ fn the_single_turn_encoder_tells_all_three() {
     assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
 }
 
-/// 2.12.3: the angle counts turns, in 0.01 degrees; 2.13.3: within a turn it grows clockwise and begins
-/// anew; 2.15.3: feedback tells it in degrees up to ±32767.
+/// 2.12.3: the angle counts turns, in 0.01 degrees. 2.13.3: within a turn it grows clockwise and begins anew. 2.15.3:
+/// feedback has it in degrees, up to ±32767.
 #[test]
 fn the_angle_counts_turns_and_feedback_saturates() {
     let mut bench = Bench::default();
@@ -87,8 +87,8 @@ fn system_reads_tell_what_the_drive_is() {
     assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1);
 }
 
-/// 2.15.4, 2.19.4 to 2.24.4: 50 °C, 1 A, 500 dps and 45 degrees, and the same backwards, are told in the
-/// bytes of the examples, by 0x9C and by every command that is answered with feedback.
+/// 2.15.4, 2.19.4 to 2.24.4: 0x9C and every command that is answered with feedback return 50 °C, 1 A, 500 dps and 45
+/// degrees, and the same backwards, in the bytes of the examples.
 #[test]
 fn feedback_is_that_of_the_examples() {
     let forwards = [50, 0x64, 0x00, 0xF4, 0x01, 0x2D, 0x00];
@@ -103,7 +103,7 @@ fn feedback_is_that_of_the_examples() {
             let [opcode, told @ ..] = bench.send(command).unwrap();
             assert_eq!((opcode, told), (byte, rest), "{byte:#X}");
         }
-        // 2.22.4: 1000 pulses beyond the motor shaft's zero, in place of the angle.
+        // 2.22.4: 1000 pulses beyond the motor shaft's zero, instead of the angle.
         let mut bench = turning(sign as f32, 1_000.0 * 360.0 / f64::from(TURN));
         let to = within_a_turn(Direction::CLOCKWISE, 360.0);
         let told = bench.send(to).unwrap();

@@ -1,6 +1,6 @@
-//! Proves that the list of requirements is whole: every section of the manual is there, none is
-//! without a test unless it says why, and what is named exists. That the tests have run as well,
-//! `.ci/manual` looks up in what `cargo test` printed.
+//! Proves that the list of requirements is complete: every section of the manual is there, no requirement is without a
+//! test unless it says why, and every named test exists. `.ci/manual` reads from the output of `cargo test` that these
+//! tests have run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use myactuator_tests::vectors::headings;
 struct Requirement {
     section: &'static str,
     number: u32,
-    /// By their names, words included.
+    /// Names of tests, and words that stand for tests.
     tests: Vec<&'static str>,
     decided: Option<&'static str>,
     untested: Option<&'static str>,
@@ -93,7 +93,7 @@ impl List {
         Ok(())
     }
 
-    /// What is named: words, and tests in the form by which `.ci/manual` finds them.
+    /// The names in a value: words, and tests in the form in which `.ci/manual` finds them.
     fn names(&self, value: &'static str) -> Result<Vec<&'static str>, &'static str> {
         let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "_:".contains(c);
         let name = |name: &'static str| match name.strip_prefix('`')?.strip_suffix('`') {
@@ -146,7 +146,7 @@ fn none_is_without_a_test_unless_it_says_why() {
     }
 }
 
-/// The file in which a test's program or package has this name's module, or the one around it.
+/// The source file of the module that a test's name names, or of the nearest module around it.
 fn source(test: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut parts = test.split("::").peekable();
@@ -168,7 +168,7 @@ fn source(test: &str) -> Option<PathBuf> {
     found
 }
 
-/// One that `.ci/manual` passed over could be a test that never runs.
+/// `.ci/manual` would pass over such a name, and its test might never run.
 #[test]
 fn a_name_that_would_not_be_looked_up_is_refused() {
     let mut list = List::default();
@@ -190,7 +190,7 @@ fn a_name_that_would_not_be_looked_up_is_refused() {
     assert_eq!(list.requirements[0].tests, ["manual::buses::one", "examples"]);
 }
 
-/// For whoever misspells one. Whether it ran is known only to who ran it: `.ci/manual`.
+/// Finds misspelt names. Whether a test ran is checked by `.ci/manual`.
 #[test]
 fn each_named_test_is_in_the_sources() {
     for test in List::read().tests() {
@@ -213,7 +213,7 @@ fn each_word_for_tests_is_used() {
     }
 }
 
-/// `drive::decisions` says what a drive does, below the heading that a line names.
+/// A line names a heading of `drive::decisions`, below which it says what a drive does.
 #[test]
 fn each_named_decision_is_there() {
     let decisions = include_str!("../../protocol-core/src/drive/decisions.rs");

@@ -9,7 +9,7 @@ use myactuator_tests::values::*;
 
 use super::commands::{TURN, most, plan};
 
-/// 2.1 to 2.3: a gain written reads back; RAM loses it by a reset and with the power, ROM keeps it.
+/// 2.1 to 2.3: a written gain reads back. RAM loses it at a reset and at power-off, ROM keeps it.
 #[test]
 fn gains_are_kept_in_rom_only() {
     for &index in PidIndex::ALL {
@@ -28,7 +28,7 @@ fn gains_are_kept_in_rom_only() {
     }
 }
 
-/// 2.2: the gains are those of the loops: without the speed loop's, the motor does not run.
+/// 2.2: the gains act on the loops: without those of the speed loop the motor does not run.
 #[test]
 fn gains_act_on_the_loops() {
     let mut bench = Bench::default();
@@ -41,7 +41,7 @@ fn gains_act_on_the_loops() {
     assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
 }
 
-/// 2.2: and so are the current loop's: they set how fast the current follows.
+/// 2.2: the gains of the current loop set how fast the current follows.
 #[test]
 fn current_gains_act_on_the_current() {
     let mut bench = Bench::default();
@@ -49,13 +49,13 @@ fn current_gains_act_on_the_current() {
     bench.write(WritePidRam { index: PidIndex::CURRENT_KI, value: gain(10.0) });
     bench.drive.plant_mut().friction_nm_s = 1e9;
     bench.go(push(2.0), millis(95));
-    // 2 A less e^-1.
+    // 2 A · (1 - e^-1).
     assert!((bench.current() - 1.264).abs() < 0.02, "{}", bench.current());
     bench.run(millis(900));
     assert!((bench.current() - 2.0).abs() < 0.01, "{}", bench.current());
 }
 
-/// 2.2.5: a current KP of 1.5, and any other, changes how fast a current comes and not how much.
+/// 2.2.5: a current KP of 1.5, like any other, changes how fast the current comes, not how much.
 #[test]
 fn current_gains_change_no_torque() {
     for kp in [0.0, 0.1, 1.0, 1.5, 100.0] {
@@ -92,7 +92,7 @@ fn accelerations_are_kept() {
     }
 }
 
-/// 2.5.1: the range is 100 to 60000; what is outside is not taken.
+/// 2.5.1: the range is 100 to 60000. A value outside is ignored.
 #[test]
 fn an_acceleration_out_of_range_is_ignored() {
     let mut bench = Bench::default();
@@ -109,8 +109,8 @@ fn an_acceleration_out_of_range_is_ignored() {
     assert_eq!(bench.ask(ReadAcceleration { index }).acceleration.raw(), 10_000);
 }
 
-/// 2.6.3: the position is the raw position less the zero offset; 2.7.1: the raw one is without it; 2.9.1:
-/// a new zero is valid only after a restart.
+/// 2.6.3: the position is the raw position less the zero offset. 2.7.1: the raw position is without it. 2.9.1: a new
+/// zero is valid only after a restart.
 #[test]
 fn position_is_raw_less_offset_after_a_restart() {
     let mut bench = Bench::default();
@@ -125,7 +125,7 @@ fn position_is_raw_less_offset_after_a_restart() {
     assert_eq!(bench.ask(ReadMultiTurnEncoder).position.raw(), TURN / 4);
 }
 
-/// 2.10: 0x64 makes the current position the zero, tells it, and it is valid after 0x76.
+/// 2.10: 0x64 makes the current position the zero and returns it. It is valid after 0x76.
 #[test]
 fn the_current_position_becomes_the_zero_after_a_reset() {
     let mut bench = Bench::default();
@@ -136,14 +136,14 @@ fn the_current_position_becomes_the_zero_after_a_reset() {
     assert_eq!(bench.told_angle(), 0.0);
     bench.power_cycle();
     assert_eq!(bench.told_angle(), 0.0);
-    // A second time, with a zero that is none of the encoder's.
+    // A second time, when the zero is no longer the encoder's.
     bench.turn_to(135.0);
     assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN * 3 / 8);
     bench.restart();
     assert_eq!(bench.told_angle(), 0.0);
 }
 
-/// 2.9.1: a zero that 0x63 writes is in ROM; 2.9.1, 2.10.1: targets count from the new zero.
+/// 2.9.1: 0x63 writes the zero to ROM. 2.9.1, 2.10.1: targets count from the new zero.
 #[test]
 fn a_zero_is_kept_and_targets_count_from_it() {
     for by_0x64 in [false, true] {
@@ -163,8 +163,8 @@ fn a_zero_is_kept_and_targets_count_from_it() {
     }
 }
 
-/// 2.2.1, 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They forbid
-/// nothing, so that it works.
+/// 2.2.1, 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They do not forbid
+/// it, so it works.
 #[test]
 fn what_is_written_while_the_motor_moves_is_kept() {
     let mut bench = Bench::default();

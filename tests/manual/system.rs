@@ -9,8 +9,8 @@ use myactuator_tests::values::*;
 
 use super::commands::{force_to, on_by, report, within_a_turn};
 
-/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0; and what nothing says is saved ends:
-/// active replies and error reporting.
+/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0. Active replies and error reporting end, because
+/// nothing says that they are saved.
 #[test]
 fn a_reset_starts_anew() {
     let mut bench = Bench::default();
@@ -124,8 +124,8 @@ fn without_protection_the_motor_goes_on() {
     assert!(bench.speed() > 99.0);
 }
 
-/// 2.32: the rate is kept in ROM and acts when the drive is powered on again; a code that is not valid on the
-/// bus changes nothing.
+/// 2.32: the rate is kept in ROM and acts when the drive starts again. A code that is not valid on the bus changes
+/// nothing.
 #[test]
 fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
     let mut bench = Bench::default();
@@ -148,8 +148,8 @@ fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
     assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
 }
 
-/// 2.34.1: listed commands are sent by themselves at the interval, in turn; polls of them are not
-/// answered; switched off it ends.
+/// 2.34.1: the drive reports the listed commands in turn, one per interval. It does not answer polls of them. Switched
+/// off, they end.
 #[test]
 fn active_replies_take_turns() {
     let mut bench = Bench::default();
@@ -173,8 +173,8 @@ fn active_replies_take_turns() {
     assert!(bench.send(ReadStatus2).is_some());
 }
 
-/// 2.19.1 asks for 0x77 before torque only: speed and position commands open the brake themselves, and 0x80
-/// locks it again, which leaves one open that 0x77 has opened.
+/// 2.19.1 asks for 0x77 before torque only. Speed and position commands open the brake on their own, and 0x80 locks it
+/// again. If 0x77 has opened the brake, 0x80 leaves it open.
 #[test]
 fn what_opened_the_brake_decides_whether_0x80_locks_it() {
     let commands: [AnyCommand; 5] = [
@@ -200,7 +200,7 @@ fn what_opened_the_brake_decides_whether_0x80_locks_it() {
     }
 }
 
-/// 2.14.3, 2.27.3, 2.28.3: a motor without a brake answers 0x77 and 0x78, turns on, and says "released".
+/// 2.14.3, 2.27.3, 2.28.3: a motor without a brake answers 0x77 and 0x78, keeps turning, and reports "released".
 #[test]
 fn a_motor_without_a_brake_is_released() {
     let mut bench = Bench::default();
