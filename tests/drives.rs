@@ -1,4 +1,4 @@
-//! The simulated drive: its motor, its answers and its actions, alone and in a fleet.
+//! The simulated drive, alone and in a fleet: its motor, its answers and its actions.
 
 mod drives {
     mod backlash;

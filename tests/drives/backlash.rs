@@ -17,9 +17,9 @@ fn ahead_deg(m: &SimulatedMotor) -> f64 {
     m.motor_side_angle_deg() - m.output_angle_deg()
 }
 
-/// 4 N·m turn the motor's side alone, α = 100 rad/s², for the first half degree, which takes √(2 · 0.0087266 /
-/// 100) = 13.211 ms, to 1.3211 rad/s. Then 0.04 of 0.1 kg·m² share that with the load, 0.52844 rad/s, and go on
-/// with 40 rad/s².
+/// For the first half degree 4 N·m turn the motor's side alone, with α = 100 rad/s². That takes √(2 · 0.0087266 / 100) =
+/// 13.211 ms and ends at 1.3211 rad/s. Then 0.04 of 0.1 kg·m² share this with the load: 0.52844 rad/s. Both go on with
+/// 40 rad/s².
 #[test]
 fn the_motor_crosses_the_play_and_takes_the_load_along() {
     let mut m = motor(loose());
@@ -42,7 +42,7 @@ fn the_motor_crosses_the_play_and_takes_the_load_along() {
     );
 }
 
-/// A motor that stops leaves the load behind its teeth: it goes on through the whole play, at its own speed.
+/// If the motor brakes, the load goes on through the whole play at its own speed.
 #[test]
 fn a_load_runs_ahead_of_a_motor_that_brakes() {
     let mut m = motor(loose());
@@ -55,13 +55,12 @@ fn a_load_runs_ahead_of_a_motor_that_brakes() {
     close(ahead_deg(&m), 0.5 - (50.0 * 0.018 * 0.018_f64).to_degrees(), 1e-6);
     m.advance(&amps(-2.0), MS);
     close(ahead_deg(&m), -0.5, 1e-9);
-    // Both momenta together, less 4 N·m for 19 ms.
+    // The sum of both momenta, less 4 N·m for 19 ms.
     close(speed(&m), speed_before.to_radians() - 4.0 * 0.019 / 0.1, 1e-9);
 }
 
-/// A hand turns the output of a motor that is held by its brake through the play, and no further. It pushes so
-/// softly that what it has when the teeth meet, 0.054 rad/s, does not tear the brake's 25 N·m away by more than
-/// a thousandth of a degree.
+/// The brake holds the motor. A hand turns the output through the play and no further. It pushes so softly that the
+/// 0.054 rad/s at which the teeth meet move the brake, of 25 N·m, by less than a thousandth of a degree.
 #[test]
 fn a_hand_feels_the_whole_play() {
     let mut m = motor(loose());
@@ -74,14 +73,14 @@ fn a_hand_feels_the_whole_play() {
     }
 }
 
-/// A spring between the teeth's two sides swings the load alone, √(k/J) of its own inertia, and nothing else.
+/// Within the play a spring swings the load alone, with √(k/J) of the load's own inertia.
 #[test]
-fn a_load_in_the_play_swings_by_itself() {
+fn a_load_in_the_play_swings_alone() {
     let spring = Spring { rest_deg: 0.0, stiffness_nm_per_rad: 6.0 };
     let mut m = motor(loose());
     m.set_load(Load { spring: Some(spring), ..Load::NONE }).unwrap();
     m.force_brake(Some(false));
-    // 10 rad/s: 2 deg/s are 0.2 degrees to either side, and it is back after 2π/10.
+    // 10 rad/s: 2 deg/s are 0.2 degrees to either side, and a period is 2π/10 s.
     m.set_output_speed_dps(2.0).unwrap();
     m.advance(&OFF, Duration::from_micros(157_100));
     close(m.output_angle_deg(), 0.2, 1e-3);
@@ -90,14 +89,14 @@ fn a_load_in_the_play_swings_by_itself() {
 }
 
 #[test]
-fn a_gear_without_a_mass_behind_its_play_is_refused() {
+fn a_gear_without_a_mass_after_its_play_is_refused() {
     let mut p = loose();
     p.gear.output_inertia_kg_m2 = 0.0;
     let error = SimulatedMotor::new(p).unwrap_err().to_string();
     assert!(error.contains("output inertia of a gear with backlash"), "{error}");
 }
 
-/// The stiffest load that the step allows, thrown to and fro in the play: what it has only becomes less.
+/// Loads, up to the stiffest that the step allows, are thrown to and fro in the play. Their energy does not grow.
 #[test]
 fn no_load_gains_energy_from_the_play() {
     for stiffness_nm_per_rad in [1e2, 1e4, 4e5] {

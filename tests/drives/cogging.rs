@@ -1,4 +1,4 @@
-//! Cogging, against the pendulum that it makes of a rotor.
+//! Cogging, compared with the pendulum that it turns the rotor into.
 
 use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
 use myactuator_protocol_core::drive::Plant;
@@ -13,8 +13,8 @@ fn coggy(mut p: MotorParameters) -> MotorParameters {
     p
 }
 
-/// Near its rest it is a spring of 0.5 N·m * 120 = 60 N·m/rad: with 0.1 kg·m² 24.495 rad/s, half a period in
-/// 128.26 ms. (0.05 degrees are 6 degrees of its period, which make that 0.07 % longer.)
+/// Near a rest position cogging is a spring of 0.5 N·m * 120 = 60 N·m/rad. With 0.1 kg·m² that is 24.495 rad/s, half a
+/// period in 128.26 ms. (0.05 degrees are 6 degrees of its period, which make that 0.07 % longer.)
 #[test]
 fn a_rotor_swings_about_where_it_clings() {
     let mut m = motor(coggy(ideal()));
@@ -24,8 +24,8 @@ fn a_rotor_swings_about_where_it_clings() {
     assert!(speed(&m).abs() < 1e-4, "{}", speed(&m));
 }
 
-/// Against 0.25 N·m, half of the amplitude, it settles where the sine is a half: 30 of its 360 degrees, 0.25 of 3.
-/// Less than the amplitude never turns it over, more does.
+/// Against 0.25 N·m, half of the amplitude, the rotor settles where the sine is a half: at 30 of 360 degrees, 0.25 of 3.
+/// A torque below the amplitude never turns it into the next period, a larger one does.
 #[test]
 fn a_motor_at_rest_holds_up_to_the_cogging_torque() {
     let mut m = motor(coggy(with_friction(0.0, 0.0, 2.0)));
@@ -39,13 +39,13 @@ fn a_motor_at_rest_holds_up_to_the_cogging_torque() {
     assert!(ends(0.24) < 0.75 && ends(0.26) > 3.0);
 }
 
-/// It takes nothing: a rotor thrown through it has its speed again after each period.
+/// Cogging takes no energy: a rotor that turns through it has its speed again after each period.
 #[test]
 fn cogging_gives_back_what_it_takes() {
     let mut m = motor(coggy(ideal()));
     m.set_output_speed_dps(60.0).unwrap();
     m.advance(&OFF, Duration::from_secs(60));
-    // 60 deg/s are 0.0548 J; from a tooth's top to its foot 2 * 0.5 / 120 = 0.0083 J come and go.
+    // 60 deg/s are 0.0548 J. Between a tooth's top and its foot 2 * 0.5 / 120 = 0.0083 J come and go.
     let turned = m.output_angle_deg().to_radians() * 120.0;
     let has_j = 0.05 * speed(&m).powi(2) + 0.5 / 120.0 * (1.0 - turned.cos());
     close(has_j, 0.05 * 60_f64.to_radians().powi(2), 1e-3);

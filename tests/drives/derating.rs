@@ -7,10 +7,10 @@ use myactuator_protocol_core::drive::{Event, Limit};
 use myactuator_protocol_core::io::Runner;
 use myactuator_tests::values::{go_to, millis};
 
-/// An X8-120, whose stall current is 43.8 A, on its way with a load that hardly moves; from 80 to 120 °C of the
-/// motor and from 70 to 100 °C of the output stage it loses all of that.
+/// An X8-120, whose stall current is 43.8 A, pushes a load that hardly moves. The drive reduces this current to nothing
+/// between 80 and 120 °C of the motor and between 70 and 100 °C of the output stage.
 #[test]
-fn a_hot_motor_gives_less_and_says_so() {
+fn a_hot_motor_gets_less_current_and_the_limit_is_reported() {
     let mut model = MotorParameters::named("RMD-X8-P20-120").unwrap();
     model.derating = Some(DeratingParameters {
         motor_from_c: 80.0,
@@ -39,7 +39,7 @@ fn a_hot_motor_gives_less_and_says_so() {
     };
     fleet.master::<1>().ask(MotorId::MIN, go_to(9_000.0, 900)).unwrap();
     assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
-    // 30 of 40 degrees are left; no error comes below 90 °C of the motor and 85 °C of the output stage.
+    // 30 of 40 degrees are left. Below 90 °C of the motor and 85 °C of the output stage there is no error.
     assert_eq!(gives(90.0, 25.0), (0.75 * 43.8, vec![Limit::Temperature]));
     // 20 of 30 degrees are left.
     let (current_a, told) = gives(90.0, 80.0);

@@ -1,4 +1,4 @@
-//! What the encoders show of a shaft.
+//! What encoders read of a shaft.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{MotorParameters, STEP, SimulatedMotor};
@@ -26,8 +26,9 @@ fn pulses(m: &mut SimulatedMotor, span: Duration) -> i64 {
     m.advance(&OFF, span).encoder_pulses
 }
 
-/// 3 pulses rms about half a pulse below the place, for whole pulses are rounded down; √(9 + 1/12) with what
-/// that adds. 20,000 steps know the mean to 0.02 and the rms to 0.015 (one sigma), and none is beyond 2√3 · 3.
+/// 3 pulses rms, about a mean half a pulse below the true position, because whole pulses are rounded down. The rounding
+/// makes the rms √(9 + 1/12). One sigma over 20,000 steps is 0.02 for the mean and 0.015 for the rms. No reading is
+/// beyond 2√3 · 3.
 #[test]
 fn noise_is_as_large_as_the_file_says() {
     let mut m = seeded(1);
@@ -37,12 +38,12 @@ fn noise_is_as_large_as_the_file_says() {
     assert!(mean.abs() < 0.08, "{mean}");
     assert!((rms - 3.0139).abs() < 0.06, "{rms}");
     assert!(seen.iter().all(|it| it.abs() < 10.4 + 1.0));
-    // It does not go on from step to step: neighbours have nothing in common.
+    // The noise of neighbouring steps does not correlate.
     let product = seen.windows(2).map(|it| it[0] * it[1]).sum::<f64>() / 20_000.0;
     assert!(product.abs() < 9.0 * 0.03, "{product}");
 }
 
-/// Who looks more often sees the same, and the same seed gives the same.
+/// Reading more often returns the same values, and so does the same seed.
 #[test]
 fn looking_changes_nothing() {
     let (mut seldom, mut often, mut other) = (seeded(7), seeded(7), seeded(8));
@@ -60,7 +61,7 @@ fn looking_changes_nothing() {
     assert!(differ);
 }
 
-/// Motors of a fleet are noisy each by itself, and in each run alike.
+/// Each motor of a fleet has noise of its own, which is the same in each run.
 #[test]
 fn a_fleets_seed_is_its_noise() {
     let told = |seed| {
@@ -75,8 +76,8 @@ fn a_fleets_seed_is_its_noise() {
     assert_ne!(told(1)[0], told(1)[1]);
 }
 
-/// A degree of play, held by the brake: the output's encoder of 10 bits sees half a degree, 1.42 of its pulses,
-/// and -1.42, rounded down; the motor's sees nothing.
+/// A degree of play, with the motor held by its brake. The output's encoder of 10 bits reads half a degree to either
+/// side: 1.42 and -1.42 of its pulses, rounded down. The motor's encoder reads nothing of it.
 #[test]
 fn the_outputs_encoder_sees_the_loads_side() {
     let mut p = ideal();

@@ -1,5 +1,5 @@
-//! No energy is made and none is lost: a minute of hard motion of every model, kept book of from what anyone
-//! can see of a motor, with the formulas of a textbook.
+//! Energy is conserved: a minute of hard motion of every model, with accounts kept from outside, from the values that a
+//! motor shows and the formulas of a textbook.
 
 use std::f64::consts::TAU;
 
@@ -14,7 +14,7 @@ use super::plant_physics::{OFF, amps, angle, speed};
 const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
 const GRAVITY_M_S2: f64 = 9.80665;
 
-/// Both sides of the gear's play, as anyone can see them.
+/// Both sides of the gear's play, as seen from outside.
 #[derive(Clone, Copy)]
 struct Sides {
     angle: f64,
@@ -45,7 +45,7 @@ impl Sides {
         self.motor_speed == self.load_speed && self.ahead.abs() > self.half_play - 1e-9
     }
 
-    /// What is lost when the sides become one, and their speed then.
+    /// The energy lost when the sides become one, and their common speed.
     fn meet(&self) -> (f64, f64) {
         let Self { motor_inertia, load_inertia, motor_speed, load_speed, .. } = *self;
         let sum = motor_inertia + load_inertia;
@@ -54,7 +54,7 @@ impl Sides {
         (lost, (motor_inertia * motor_speed + load_inertia * load_speed) / sum)
     }
 
-    /// Half a step later, at these speeds until the sides meet; and what is lost then.
+    /// The sides half a step later, at these speeds until they meet, and the energy lost when they meet.
     fn half_a_step_later(mut self) -> (Self, f64) {
         let span = STEP_S / 2.0;
         let closing = self.motor_speed - self.load_speed;
@@ -73,12 +73,12 @@ impl Sides {
     }
 }
 
-/// Where the energy went since the start, J. What is stored counts from the start, too.
+/// Where the energy went since the start, J. Stored energy counts from the start, too.
 #[derive(Debug, Default)]
 struct Ledger {
-    /// Given by the source.
+    /// From the source.
     source: f64,
-    // Taken for good.
+    // Lost.
     cable: f64,
     winding: f64,
     output_stage: f64,
@@ -117,7 +117,7 @@ impl Ledger {
         self.capacitor + self.moving + self.lifted + self.spring + self.pressed
     }
 
-    /// A step that began at `before` with these sides, and how the motor is after it.
+    /// Books a step that began at `before` with these sides. `motor` and `now` are after it.
     fn book(
         &mut self,
         motor: &SimulatedMotor,
@@ -135,13 +135,13 @@ impl Ledger {
         let stop = load.upper_stop.unwrap();
         let given_back = stop.restitution * stop.restitution;
 
-        // A movement of half a step, the torques there, the other half of the movement.
+        // Half a step of movement, the torques there, the other half of the movement.
         let (halfway, lost) = sides.half_a_step_later();
         self.teeth += lost;
         let stop_nm = stop.stiffness_nm_per_rad * pressed(halfway.angle);
         let mut pushed = Sides::of(motor);
         if pushed.touch() && !halfway.touch() {
-            // They have met since: before, the load had gained what its torques give, the motor the rest.
+            // They have met since. Before that its own torques accelerated the load, and the motor had the rest.
             let (_, both) = pushed.meet();
             let stops_share =
                 if halfway.angle * halfway.load_speed > 0.0 { 1.0 } else { given_back };
@@ -167,7 +167,7 @@ impl Ledger {
         self.capacitor +=
             supply.capacitance_f * (volts * volts - volts_before * volts_before) / 2.0;
 
-        // Currents are rms: 3 R i². Copper at the temperature that it had.
+        // Currents are rms: 3 R i². Copper has the temperature of before.
         let current_a = f64::from(now.current_a);
         let warmer_k = f64::from(before.motor_temperature_c) - 25.0;
         let ohm =
@@ -183,8 +183,8 @@ impl Ledger {
         self.friction += (dry_nm + friction.viscous_nm_s_per_rad * mean_speed.abs()) * way;
         self.damper += load.damping_nm_s_per_rad * load_speed.abs() * load_way;
 
-        // It pushes out with the share that it gives back of what it pushes in: half of the difference is against
-        // any movement, like friction, and the mean is a spring.
+        // On the way out a stop pushes with the share that it gives back. The mean of both pushes is a spring. Half of
+        // their difference acts against any movement, like friction.
         self.stops += stop_nm * (1.0 - given_back) / 2.0 * load_way;
         self.pressed = stop.stiffness_nm_per_rad * (1.0 + given_back) / 2.0
             * pressed(angle(motor)).powi(2)
@@ -200,8 +200,8 @@ impl Ledger {
 
 const END_DEG: f64 = 100.0;
 
-/// A load with all that a load can have, for a motor of this torque and speed: an arm that takes a fifth of the
-/// rated torque, a spring that takes as much at the ends, a damper that takes a tenth at rated speed, and stops.
+/// A load with everything that a load can have: an arm that takes a fifth of the rated torque, a spring that takes as
+/// much at the ends, a damper that takes a tenth at rated speed, and stops.
 fn load_for(model: &MotorParameters) -> Load {
     let torque_nm = model.rating.torque_nm;
     let rated_rad_s = model.rating.speed_rpm * TAU / 60.0;
@@ -224,9 +224,9 @@ fn load_for(model: &MotorParameters) -> Load {
     }
 }
 
-/// A minute of every model at 1.5 times its rated current, which changes its direction more and more often,
-/// with the output off in between: into both stops, against the voltage's limit, feeding back. What the source
-/// gave is what was taken and is stored, to 0.01 %.
+/// Every model runs a minute at 1.5 times its rated current, which reverses more and more often, with the output off in
+/// between: into both stops, against the voltage limit, feeding back. The energy from the source equals the energy lost
+/// and stored, to 0.01 %.
 #[test]
 fn energy_is_conserved_over_a_minute_of_hard_motion() {
     for model in MODELS {

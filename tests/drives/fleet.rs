@@ -1,6 +1,5 @@
-//! Whole drives on whole buses, as their master sees them: a lost master, memory in files, reports and
-//! physical errors, on CAN and RS485, under the virtual clock. What a drive does by itself is in
-//! `manual` and `quirks`.
+//! Whole drives on whole buses, as their master sees them, on CAN and RS485, under the virtual clock: a lost master,
+//! memory in files, reports and physical errors. `manual` and `quirks` test a drive without a bus.
 
 use std::fmt::Debug;
 
@@ -47,7 +46,7 @@ fn read_errors<R: Runner<8, Error: Debug>>(master: &mut R) -> ErrorFlags {
 }
 
 #[test]
-fn equal_drives_have_different_chance() {
+fn equal_drives_have_different_seeds() {
     let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
     let [one, other] = [0, 1].map(|place| fleet.drives[place].with(|it| it.parameters().seed));
     assert_ne!(one, other);
@@ -68,7 +67,7 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
     let told = listen(&mut master, millis(10_150));
     assert_eq!(told, [Event::LostMaster { motor: MOTOR }; 11]);
 
-    // What does no harm is sent again by the master: the caller sees nothing of it.
+    // The master repeats a harmless command on its own. The caller does not notice.
     happened(drive);
     let angle_deg = master.ask(MOTOR, ReadMultiTurnAngle).unwrap().angle.degrees();
     assert!((angle_deg - 30.0).abs() < 0.1, "{angle_deg}");
@@ -78,7 +77,7 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
         [not_run(Opcode::ReadMultiTurnAngle), Happened::ProtectionRecovered]
     );
 
-    // What moves the motor is the caller's to repeat, before the next 0xF1.
+    // A command that moves the motor is left to the caller to repeat, before the next 0xF1.
     for _ in 0..2 {
         listen(&mut master, millis(1_150));
         happened(drive);
@@ -92,7 +91,7 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
     master.ask(MOTOR, push(2.0)).unwrap();
     assert!(state(drive).output_on);
 
-    // In a stream the next set-point does.
+    // In a stream the next set-point takes effect.
     listen(&mut master, millis(300));
     assert!(!state(drive).output_on);
     let mut streamed = Vec::new();
@@ -112,11 +111,11 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
 
 // ---- to all ----
 
-/// Which of so many drives a master hears that asks all of them at once, at this bit rate.
+/// The drives that a master hears, of this many, if it asks all of them at once at this bit rate.
 fn answers_to_all(count: u8, bit_rate: u32, broadcast_slots: bool) -> MotorSet {
     let quirks = Quirks { broadcast_slots, ..Quirks::default() };
     let bus = Fleet::new(count).quirks(quirks).on_rs485(bit_rate).unwrap();
-    // The last of eight comes after some 12 ms at 115200.
+    // At 115200 the last of eight replies comes after some 12 ms.
     let config = Config { reply_timeout: millis(20), ..Config::rs485(bit_rate, false) };
     let (mut master, _) = Rs485Line::runner::<8>(&bus.world, config);
     let all = MotorId::all().take(count.into()).collect();
@@ -128,7 +127,7 @@ fn answers_to_all(count: u8, bit_rate: u32, broadcast_slots: bool) -> MotorSet {
     answers.collect()
 }
 
-/// 6.2 shows the answers of four motors to 0xCD 0x60.
+/// 6.2 shows the replies of four motors to 0xCD 0x60.
 #[test]
 fn answers_to_all_come_whole_if_drives_wait_for_their_turn() {
     for bit_rate in [115_200, 1_000_000] {
@@ -164,7 +163,7 @@ fn memory_in_files_outlives_the_fleet<W: Wire>() {
     let other = master.ask(id(2), ReadPid { index: PidIndex::SPEED_KP }).unwrap();
     assert_eq!(other.value.value(), at_factory);
 
-    // A damaged memory is told, not guessed at.
+    // A damaged memory is reported. Its contents are not guessed.
     for file in std::fs::read_dir(folder.path()).unwrap() {
         std::fs::write(file.unwrap().path(), "nonsense").unwrap();
     }
@@ -179,11 +178,11 @@ fn errors_are_reported_while_they_last<W: Wire>() {
     let (mut master, drive) = (master(&bus), &bus.drives[0]);
     let switch = |on| FunctionControl::ErrorReporting(Switch::from_bool(on));
 
-    // Off, it says nothing.
+    // While reporting is off, the drive is silent.
     drive.with(|drive| drive.raise_fault(ErrorFlags::OVER_VOLTAGE));
     assert_eq!(listen(&mut master, millis(500)), []);
 
-    // The first at once, before the reply to this.
+    // The first report comes at once, before the reply to this command.
     let mut told = Vec::new();
     master.ask_with(MOTOR, switch(true), None, |event| told.push(event)).unwrap();
     told.extend(listen(&mut master, millis(950)));
@@ -206,7 +205,7 @@ fn errors_are_reported_while_they_last<W: Wire>() {
 
 // ---- faults ----
 
-/// Makes a quantity what it must not be, or what it was.
+/// Makes a quantity bad, or good again.
 type Force = fn(&mut SimulatedMotor, bool);
 
 fn warm(too_warm: bool) -> Option<f64> {
@@ -254,7 +253,7 @@ fn physical_errors_of_level_two_recover<W: Wire>() {
         let now = read_errors(&mut master);
         assert_eq!(now, ErrorFlags::empty(), "after {}", status.errors);
         assert_eq!(state(drive).indicator, Indicator::On);
-        // A motor that goes on by itself may hurt someone.
+        // A motor that goes on on its own may hurt someone.
         listen(&mut master, millis(1_000));
         assert!(!state(drive).output_on && state(drive).measurement.speed_dps.abs() < 1.0);
         master.ask(MOTOR, turn(90.0)).unwrap();
@@ -263,8 +262,8 @@ fn physical_errors_of_level_two_recover<W: Wire>() {
     }
 }
 
-/// 8.1: level one, "the motor cannot recover; check it and restart it". An encoder that was wrong once
-/// is not trusted again.
+/// 8.1: level one, "the motor cannot recover; check it and restart it". An encoder that was wrong once is not trusted
+/// until a restart.
 fn physical_errors_of_level_one_need_a_restart<W: Wire>() {
     let bus: BusFleet<W> = quirky(Quirks::default());
     let (mut master, drive) = (master(&bus), &bus.drives[0]);

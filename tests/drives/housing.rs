@@ -1,4 +1,4 @@
-//! A winding in a housing, against the two nodes worked out by hand.
+//! A winding in a housing, compared with two thermal nodes worked out by hand.
 
 use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
 use myactuator_protocol_core::drive::Plant;
@@ -16,11 +16,16 @@ fn housed() -> MotorParameters {
     p
 }
 
-/// 4 A of amplitude through 0.5 Ω are 1.5 * 0.5 * 16 = 12 W. In the end the housing is 24 K above the air of 25 °C
-/// and the winding 36 K. On the way, C T' = A T + P has the rates of x² + (1/20 + 1/100 + 1/200) x + 1/4000 = 0:
-/// 0.060895 and 0.004105 per second. With both at 0 K at the start, the winding's rise is 36 + a e^(-0.060895 t) +
-/// b e^(-0.004105 t), with a + b = -36 and a 0.060895 + b 0.004105 = -12 W / 20 J/K: a = -7.9629, b = -28.0371; and
-/// the housing's, which is the winding's plus 20 s of its slope less 12 K, 24 + 1.7350 e^(..) - 25.7350 e^(..).
+/// 4 A of amplitude through 0.5 Ω are 1.5 * 0.5 * 16 = 12 W. In the end the housing is 24 K above the air of 25 °C, and
+/// the winding 36 K.
+///
+/// On the way, C T' = A T + P has the rates of x² + (1/20 + 1/100 + 1/200) x + 1/4000 = 0: 0.060895 and 0.004105 per
+/// second. Both start at 0 K.
+///
+/// - The rise of the winding is 36 + a e^(-0.060895 t) + b e^(-0.004105 t), with a + b = -36 and a 0.060895 + b 0.004105
+///   = -12 W / 20 J/K: a = -7.9629, b = -28.0371.
+/// - The rise of the housing is that of the winding plus 20 s of its slope less 12 K: 24 + 1.7350 e^(..) - 25.7350
+///   e^(..).
 #[test]
 fn winding_and_housing_warm_up_as_two_nodes_do() {
     let mut m = held(housed());
@@ -37,7 +42,7 @@ fn winding_and_housing_warm_up_as_two_nodes_do() {
 }
 
 #[test]
-fn the_housing_has_a_part_of_the_windings_resistance() {
+fn the_housings_resistance_must_be_a_part_of_the_windings() {
     assert_eq!(motor(ideal()).housing_temperature_c(), None);
     for resistance_k_per_w in [0.0, 3.0] {
         let mut p = housed();

@@ -1,4 +1,4 @@
-//! Drives that hold, drop and run into what they carry, as their master sees it.
+//! Drives with loads, as their master sees them: they hold, drop and run into an end.
 
 use myactuator_host_std::sim::plant::{Arm, EndStop, Load, MODELS, MotorParameters};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
@@ -10,7 +10,7 @@ use myactuator_tests::values::{go_to, id, millis, turn};
 
 const MOTOR: MotorId = MotorId::MIN;
 
-/// An arm of half a metre that hangs at 0°, as heavy as this share of the rated torque can hold level.
+/// An arm of half a metre that hangs at 0°. This share of the rated torque can just hold it level.
 fn arm(model: &MotorParameters, share: f64) -> Load {
     let mass_kg = share * model.rating.torque_nm / (9.80665 * 0.5);
     Load { arm: Some(Arm { mass_kg, length_m: 0.5, down_deg: 0.0 }), ..Load::NONE }
@@ -20,12 +20,12 @@ fn models() -> impl Iterator<Item = MotorParameters> {
     MODELS.iter().map(|model| MotorParameters::named(model.name).unwrap())
 }
 
-/// On the motor's side of the gear's play, for that is what a drive holds.
+/// On the motor's side of the gear's play, because a drive holds that side.
 fn angle_deg(drive: &DriveHandle) -> f64 {
     drive.with(|drive| drive.plant().motor_side_angle_deg())
 }
 
-/// The smallest and the largest angle, looked at every millisecond.
+/// The smallest and the largest angle, read every millisecond.
 fn range_deg(fleet: &CanFleet, span: Duration) -> (f64, f64) {
     let (mut least, mut most) = (f64::MAX, f64::MIN);
     for _ in 0..span.as_millis() {
@@ -36,17 +36,17 @@ fn range_deg(fleet: &CanFleet, span: Duration) -> (f64, f64) {
     (least, most)
 }
 
-/// A fleet of one whose arm has been brought to 90° by 0xA4 and has settled.
+/// A fleet of one. 0xA4 has brought its arm to 90°, and the arm has settled.
 fn holding(model: &MotorParameters, share: f64, brake: bool) -> CanFleet {
     let fleet = Fleet::new(1).model(model.clone()).load(arm(model, share)).brakes(brake);
     let fleet = fleet.on_can(1_000_000).unwrap();
     fleet.master::<1>().ask(MOTOR, go_to(90.0, 90)).unwrap();
-    // The last hundredths, at which friction holds the shaft, take the speed loop's integral.
+    // For the last hundredths, where friction holds the shaft, the speed loop's integral takes time.
     fleet.world.run_for(Duration::from_secs(8));
     fleet
 }
 
-/// Every model brings an arm to the level and holds it there, still and within 0.1°.
+/// Every model brings an arm level and holds it there, still and within 0.1°.
 #[test]
 fn an_arm_is_held_level() {
     for model in models() {
@@ -61,7 +61,7 @@ fn an_arm_is_held_level() {
     }
 }
 
-/// 0x80 lets an arm fall to where it hangs, within what its friction holds; a brake keeps it.
+/// 0x80 lets an arm fall to where it hangs, give or take what friction holds. A brake keeps it up.
 #[test]
 fn an_arm_falls_when_its_motor_is_shut_down_unless_a_brake_holds_it() {
     for model in models() {
@@ -84,14 +84,14 @@ fn an_arm_falls_when_its_motor_is_shut_down_unless_a_brake_holds_it() {
     }
 }
 
-/// A load is changed and a hand pushes while the drive holds: it gives way and comes back.
+/// While the drive holds, its load changes and a hand pushes. It gives way and comes back.
 #[test]
 fn a_drive_holds_what_is_put_on_while_it_runs() {
     for model in models() {
         let fleet = holding(&model, 0.2, false);
         let drive = &fleet.drives[0];
         for (share, push) in [(0.6, 0.0), (0.6, 0.3), (0.2, 0.0)] {
-            // Static friction would take a push of twice as much, either way.
+            // Twice the static friction could hide a push, so the push is well above that.
             let push_nm = -push * (model.rating.torque_nm + 8.0 * model.friction.static_nm);
             drive.with(|drive| {
                 drive.plant_mut().set_load(arm(&model, share)).unwrap();
@@ -108,8 +108,8 @@ fn a_drive_holds_what_is_put_on_while_it_runs() {
     }
 }
 
-/// A start angle and a load of its own: one motor's arm starts upright and falls from there, its
-/// neighbour's shaft is bare and stays.
+/// Each motor has a start angle and a load of its own: one motor's arm starts upright and falls, its neighbour's shaft
+/// is bare and stays.
 #[test]
 fn a_fleet_starts_with_its_loads_where_they_are() {
     let model = MotorParameters::named("RMD-X8-PRO").unwrap();
@@ -125,7 +125,7 @@ fn a_fleet_starts_with_its_loads_where_they_are() {
     assert!(angle_deg(&fleet.drives[1]).abs() < 45.0);
 }
 
-/// A joint that a speed drives into its end is stopped there, and pushes without chatter.
+/// A speed command drives a joint into its end stop. The joint stops there and pushes without chatter.
 #[test]
 fn a_joint_driven_into_its_end_stands_there() {
     for restitution in [0.0, 0.3, 0.7] {
@@ -134,11 +134,11 @@ fn a_joint_driven_into_its_end_stands_there() {
         let fleet = Fleet::new(1).load(load).on_can(1_000_000).unwrap();
         fleet.master::<1>().ask(MOTOR, turn(90.0)).unwrap();
         let (_, most) = range_deg(&fleet, millis(800));
-        // 90°/s * √(0.13/5000) is 0.46°, and the peak torque's 25 N·m lean on it by 0.29°.
+        // 90°/s * √(0.13/5000) is 0.46°, and the peak torque of 25 N·m presses it in by 0.29°.
         assert!(most < 31.0, "{restitution}: {most}");
         let (least, most) = range_deg(&fleet, millis(200));
         assert!(least >= 30.0 && most - least < 0.01, "{restitution}: {least} to {most}");
-        // A second at the stall current is a stall: the drive lets go, and the stop pushes the joint out.
+        // A second at the stall current is a stall. The drive lets go, and the end stop pushes the joint out.
         fleet.world.run_for(millis(1_000));
         let errors = fleet.drives[0].with(|drive| drive.state().errors);
         assert_eq!(errors, ErrorFlags::STALL, "{restitution}");

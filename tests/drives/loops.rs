@@ -1,5 +1,5 @@
-//! The drive's loops on every model that comes with the library, with loads from none to the heaviest
-//! that its torque can sensibly move: they follow, stop and stand still.
+//! The drive's loops on every model of the library, with loads from none to the heaviest that its torque can sensibly
+//! move: they follow, stop and stand still.
 
 use std::fmt::Debug;
 
@@ -14,26 +14,26 @@ use myactuator_protocol_core::units::Acceleration;
 use myactuator_protocol_core::{AnyCommand, MotorId};
 use myactuator_tests::values::{degrees, gain, go_to, millis, percent, turn, up_to};
 
-/// What stands still swings by no more than this, degrees: a hundredth is the unit of the bus.
+/// The largest swing of a shaft that stands still, degrees. A hundredth is the unit of the bus.
 const STILL_DEG: f64 = 0.01;
 
-/// A load's share of the heaviest, for the model that a fleet has by itself.
+/// A load's share of the heaviest, for the default model of a fleet.
 const SHARES: [f64; 6] = [0.0, 0.01, 0.05, 0.2, 0.5, 1.0];
 
 /// For the others, whose loops are tuned by the same rule.
 const ENDS: [f64; 2] = [0.0, 1.0];
 
-/// The heaviest load that a motor can sensibly move, kg·m²: its rated torque, which it has for hours,
-/// takes a second to bring it to its rated speed. That is 3.2 kg·m² for an X8-120, 55 times the inertia
-/// of its rotor: about the arm of half a metre whose weight the same torque just holds (m g l = 43 N·m,
-/// m l² = 2.2 kg·m²). Of a slow motor it is less: what its peak torque brings to 1375 dps in a second.
+/// The heaviest load that a motor can sensibly move, kg·m². Its rated torque, which it has for hours, brings this load
+/// to its rated speed in a second. For an X8-120 that is 3.2 kg·m², 55 times the inertia of its rotor. It is about the
+/// arm of half a metre whose weight the same torque just holds (m g l = 43 N·m, m l² = 2.2 kg·m²). For a slow motor it
+/// is less: what its peak torque brings to 1375 dps in a second.
 fn heaviest_kg_m2(model: &MotorParameters) -> f64 {
     let rated_rad_s = model.rating.speed_rpm * std::f64::consts::TAU / 60.0;
     let in_a_second = model.rating.torque_nm / rated_rad_s;
     in_a_second.min(model.rating.peak_torque_nm / 24.0) - model.inertia_kg_m2()
 }
 
-/// A drive alone with its motor: no bus, and time goes as the test says.
+/// A drive with its motor and no bus. The test sets the time.
 pub(super) struct Alone {
     fleet: CanFleet,
     now: Instant,
@@ -53,7 +53,7 @@ impl Alone {
         self.fleet.drives[0].with(work)
     }
 
-    /// Gives a command, whatever is answered.
+    /// Sends a command and ignores the answer.
     pub(super) fn command<C: Command + Into<AnyCommand>>(&mut self, command: C) {
         let packet = command.into().packet(MotorId::MIN.into()).unwrap();
         let now = self.now;
@@ -70,7 +70,7 @@ impl Alone {
         });
     }
 
-    /// On the motor's side of the gear's play, for that is what the loops see.
+    /// On the motor's side of the gear's play, because the loops see that side.
     pub(super) fn angle_deg(&mut self) -> f64 {
         self.with(|drive| drive.plant().motor_side_angle_deg())
     }
@@ -79,7 +79,7 @@ impl Alone {
         self.with(|drive| drive.plant().motor_side_speed_dps())
     }
 
-    /// The smallest and the largest angle, looked at every millisecond.
+    /// The smallest and the largest angle, read every millisecond.
     fn range(&mut self, span: Duration) -> (f64, f64) {
         let (mut least, mut most) = (f64::MAX, f64::MIN);
         for _ in 0..span.as_millis() {
@@ -90,13 +90,13 @@ impl Alone {
         (least, most)
     }
 
-    /// Holds that it stands still.
+    /// Asserts that it stands still.
     #[track_caller]
     fn is_still(&mut self, case: &dyn Debug) {
         self.swings_by(STILL_DEG, case);
     }
 
-    /// Holds that it swings by this much at most, and has no errors.
+    /// Asserts that it swings by no more than this and has no errors.
     #[track_caller]
     fn swings_by(&mut self, limit_deg: f64, case: &dyn Debug) {
         let (least, most) = self.range(millis(1_000));
@@ -125,7 +125,7 @@ pub(super) fn plan_all(alone: &mut Alone, dps2: u32) {
     }
 }
 
-/// 2.21.1: what is planned within the motor's torque is followed to the target, and hardly beyond it. 1000
+/// 2.21.1: a motion that is planned within the motor's torque is followed to the target, and hardly beyond it. 1000
 /// dps/s is two thirds of what the X8-PRO's peak torque gives its heaviest load.
 #[test]
 fn a_planned_step_is_followed_with_every_load() {
@@ -139,7 +139,7 @@ fn a_planned_step_is_followed_with_every_load() {
         let most = most.max(later);
         assert!(most < 92.0, "{case:?}: overshoots to {most}");
         assert!(least > 88.0, "{case:?}: lags at {least}");
-        // The last hundredths, at which friction holds the shaft, take the speed loop's integral.
+        // For the last hundredths, where friction holds the shaft, the speed loop's integral takes time.
         alone.run(millis(2_000));
         let end = alone.angle_deg();
         assert!((end - 90.0).abs() < 0.05, "{case:?}: ends at {end}");
@@ -147,8 +147,8 @@ fn a_planned_step_is_followed_with_every_load() {
     });
 }
 
-/// A plan beyond the torque, as the factory's 10000 dps/s is with a heavy load: the shaft comes late and
-/// runs over its target, but gets there, from every speed.
+/// A plan beyond the torque, such as the factory's 10000 dps/s with a heavy load. The shaft is late and overshoots, but
+/// ends at its target, from every speed.
 #[test]
 fn a_step_beyond_the_torque_still_ends_at_its_target() {
     each_load(|model, load, case| {
@@ -164,7 +164,7 @@ fn a_step_beyond_the_torque_still_ends_at_its_target() {
     });
 }
 
-/// 2.21.1: direct tracking, which is planned by nobody.
+/// 2.21.1: direct tracking, without a planned motion.
 #[test]
 fn direct_tracking_ends_at_its_target() {
     each_load(|model, load, case| {
@@ -183,8 +183,8 @@ fn direct_tracking_ends_at_its_target() {
     });
 }
 
-/// 2.18.1: 0x81 brings the shaft to rest in the way that its torque, or the deceleration that is set, needs,
-/// and holds it there.
+/// 2.18.1: 0x81 brings the shaft to rest within the distance that its torque, or the deceleration setting, needs. It
+/// holds the shaft there.
 #[test]
 fn a_stop_runs_on_no_farther_than_it_must() {
     each_load(|model, load, case| {
@@ -201,7 +201,7 @@ fn a_stop_runs_on_no_farther_than_it_must() {
             let torque_dps2 = (model.rating.peak_torque_nm / inertia).to_degrees();
             let way = speed * speed / (2.0 * torque_dps2.min(10_000.0));
             let runs_on = most - before;
-            // The loop takes time until all the torque is there, and until the last of the speed is gone.
+            // The loop takes time to reach the full torque, and to lose the last of the speed.
             assert!(runs_on < way * 1.25 + 2.0, "{case:?}: from {speed} dps runs on by {runs_on}");
             let end = alone.angle_deg();
             assert!(most - end < 0.2, "{case:?}: comes back by {}", most - end);
@@ -210,7 +210,7 @@ fn a_stop_runs_on_no_farther_than_it_must() {
     });
 }
 
-/// 2.20.1: a speed is reached, and hardly exceeded, whatever the load; and kept to a hundredth of it.
+/// 2.20.1: a speed is reached with every load, hardly exceeded, and kept to a hundredth of it.
 #[test]
 fn a_speed_is_reached_with_every_load() {
     each_load(|model, load, case| {
@@ -228,8 +228,8 @@ fn a_speed_is_reached_with_every_load() {
     });
 }
 
-/// Half of the rated torque pulls at the shaft all the time, as an arm does: it is held and moved all the
-/// same, either way.
+/// Half of the rated torque always pulls at the shaft, as an arm does. The drive holds and moves it nevertheless, in
+/// both directions.
 #[test]
 fn a_weight_is_held_and_moved_with_every_load() {
     each_load(|model, load, case| {
@@ -246,15 +246,15 @@ fn a_weight_is_held_and_moved_with_every_load() {
             assert!(least > -3.0 && most < 93.0, "{case:?}: from {least} to {most}");
             let end = alone.angle_deg();
             assert!((end - f64::from(target)).abs() < 0.05, "{case:?}: ends at {end}");
-            // The speed loop's integral takes its time to overcome friction for the last hundredths.
+            // For the last hundredths the speed loop's integral takes time to overcome friction.
             alone.run(millis(6_000));
             alone.is_still(case);
         }
     });
 }
 
-/// 5.1: the stiffest spring of motion mode does not swing up, even if the master asks for no damping: what
-/// sampling takes away, half a period of it times kp, is less than the motor's own friction gives.
+/// 5.1: the stiffest spring of motion mode does not swing up, even if the master asks for no damping. Sampling takes
+/// away damping, half a period times kp. The motor's own friction gives more than that.
 #[test]
 fn the_stiffest_motion_mode_does_not_swing_up() {
     each_load(|model, load, case| {
@@ -275,8 +275,8 @@ fn the_stiffest_motion_mode_does_not_swing_up() {
     });
 }
 
-/// The margin of the factory gains: each loop by itself may be twice as strong, or half as strong, and all
-/// stands still with every load as before.
+/// The margin of the factory gains: each gain alone may be doubled or halved, and the shaft stands still with every
+/// load as before.
 #[test]
 fn every_loop_has_a_margin_of_two() {
     each_load(|model, load, case| {
@@ -296,7 +296,7 @@ fn every_loop_has_a_margin_of_two() {
     });
 }
 
-/// A shaft that was held by a stop, or that is pushed, is let go without a kick.
+/// A shaft that was pushed against an end stop is let go without a kick.
 #[test]
 fn nothing_winds_up_against_a_stop() {
     each_load(|model, load, case| {

@@ -1,4 +1,4 @@
-//! Drives whose shafts are moved by mechanics of their own.
+//! Drives whose shafts are moved by a program's own mechanics.
 
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
@@ -52,14 +52,14 @@ fn hold_level(fleet: &CanFleet) {
 }
 
 #[test]
-fn an_arm_of_two_links_is_held_level_by_what_it_weighs() {
+fn an_arm_of_two_links_is_held_level_with_the_torque_of_its_weight() {
     let fleet = fleet();
     fleet.lead(&fleet.drives, PERIOD, arm()).unwrap();
     hold_level(&fleet);
     let [shoulder, elbow] = angles_deg(&fleet);
     assert!((shoulder - 90.0).abs() < 0.1 && elbow.abs() < 0.1, "{shoulder} {elbow}");
-    // Shoulder: 9.81 * (4 kg * 0.25 m + 2 kg * 0.75 m) = 24.5 N·m, elbow: 9.81 * 2 kg * 0.25 m = 4.9 N·m. What
-    // is at rest may lean on its static friction, 1.5 N·m, and on the gear's loss, 1.4 % of the torque.
+    // Shoulder: 9.81 * (4 kg * 0.25 m + 2 kg * 0.75 m) = 24.5 N·m, elbow: 9.81 * 2 kg * 0.25 m = 4.9 N·m. At rest,
+    // static friction may hold 1.5 N·m of that, and the gear's loss 1.4 % of the torque.
     let mut master = fleet.master::<2>();
     for (motor, weight_nm) in [(1, 24.517), (2, 4.903)] {
         let current = master.ask(id(motor), ReadStatus2).unwrap().current.amperes();
@@ -102,9 +102,9 @@ fn a_closed_brake_holds_what_the_mechanics_move() {
     assert!(shoulder < 40.0 && (elbow - 45.0).abs() < 1e-9, "{shoulder} {elbow}");
 }
 
-/// A led shaft feels the motor and a hand, less viscous friction; dry friction is told apart.
+/// The motor and a hand act on a led shaft, less viscous friction. Dry friction is reported separately.
 #[test]
-fn what_acts_on_a_led_shaft_is_told() {
+fn the_torques_on_a_led_shaft_are_reported() {
     let friction = model().friction;
     let mut motor = SimulatedMotor::new(model()).unwrap();
     motor.set_external_torque_nm(2.0).unwrap();
@@ -120,7 +120,7 @@ fn what_acts_on_a_led_shaft_is_told() {
     assert!(friction.viscous_nm_s_per_rad > 0.0);
 }
 
-/// Fails once, after so many periods.
+/// Fails once, after this many periods.
 struct Failing(u32);
 
 impl Mechanics for Failing {
@@ -181,7 +181,7 @@ fn a_drive_is_led_by_one_until_that_has_failed() {
     assert!(angles_deg(&fleet).iter().all(|angle| (angle - 50.0).abs() < 1e-9));
 }
 
-/// It falls as an arm that was never led, and is led by another then.
+/// The arm falls like one that was never led, and can be led again.
 #[test]
 fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     let load = Load {
@@ -206,7 +206,7 @@ fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     let fallen = angles_deg(&free);
     assert!(fallen[0] < 80.0, "{fallen:?}");
     assert!((angles_deg(&led)[0] - fallen[0]).abs() < 1e-9, "{:?}", angles_deg(&led));
-    // What is over ends nobody else's mechanics.
+    // Mechanics that are over do not end those that lead now.
     led.lead(&led.drives, PERIOD, Moving(held)).unwrap();
     leading.hand_back().unwrap();
     led.world.run_for(millis(10));
@@ -214,7 +214,7 @@ fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     led.world.run_for(millis(10));
     assert_eq!(angles_deg(&led), stopped);
 
-    // After a failure they stand, until they are handed back.
+    // After a failure shafts stand still until they are handed back.
     let failing = fleet();
     let leading = failing.lead(&failing.drives[..1], PERIOD, Failing(0)).unwrap();
     failing.world.run_for(millis(100));
@@ -224,7 +224,8 @@ fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     assert!((angles_deg(&failing)[0] - fallen[0]).abs() < 1e-9);
 }
 
-/// 40° beyond a stop of 2000 N·m/rad take 1400 N·m and 490 J, which this motor has not: what is handed back there would shoot off.
+/// 40° beyond a stop of 2000 N·m/rad are 1400 N·m and 490 J, far more than this motor can apply. A shaft that is handed
+/// back there would shoot off.
 #[test]
 fn shafts_beyond_an_end_stop_are_not_handed_back() {
     let stop = EndStop { at_deg: 100.0, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
@@ -245,7 +246,7 @@ fn shafts_beyond_an_end_stop_are_not_handed_back() {
     let told = second.hand_back().unwrap_err().to_string();
     assert!(told.ends_with(" deg, but 140 deg was given"), "{told}");
     let is_led = |place: usize| fleet.drives[place].with(|it| it.plant().is_led());
-    // What another leads hinders nobody.
+    // Shafts that other mechanics lead do not hinder this.
     first.hand_back().unwrap();
     assert_eq!([is_led(0), is_led(1)], [false, true]);
     assert_eq!(
@@ -259,7 +260,7 @@ fn shafts_beyond_an_end_stop_are_not_handed_back() {
     assert_eq!([is_led(0), is_led(1)], [false, false]);
 }
 
-/// Nothing of them is left in the world.
+/// The world keeps nothing of them.
 #[test]
 fn mechanics_that_are_over_are_gone() {
     let fleet = fleet();
@@ -276,7 +277,7 @@ fn mechanics_that_are_over_are_gone() {
     assert_eq!((fleet.world.planned(), Arc::strong_count(&alive)), (0, 1));
 }
 
-/// What moves a shaft does so whatever its drive does.
+/// Mechanics move a shaft whatever its drive does.
 #[test]
 fn a_led_shaft_turns_on_while_its_drive_has_no_power() {
     let fleet = fleet();
@@ -354,7 +355,7 @@ fn a_process_that_a_robots_file_names_moves_the_shafts_of_its_bus() {
     let listener = UnixListener::bind(folder.path().join("arm.sock")).unwrap();
     let other = std::thread::spawn(move || process(listener.accept().unwrap().0));
     let fleet = robot.can("arm").unwrap();
-    // Level and folded back, with nobody who holds it: it falls.
+    // Level and folded back, and not held: it falls.
     fleet.world.run_for(millis(500));
     let [shoulder, _] = angles_deg(&fleet);
     assert!(shoulder < 80.0, "{shoulder}");
@@ -390,7 +391,7 @@ fn another_process_moves_the_shafts_as_exactly_as_this_one() {
     assert_eq!(remote, run(None));
 }
 
-/// Shafts of one inertia each, with nothing on them.
+/// Bare shafts with this inertia each.
 struct Bare {
     inertia_kg_m2: f64,
 }
@@ -409,10 +410,10 @@ impl Mechanics for Bare {
     }
 }
 
-/// As the documentation of `mechanics` says: the smallest inertia that there can be with 200 us, four times that
-/// with 1 ms.
+/// The periods that the documentation of `mechanics` calls safe: 200 us with the smallest inertia that there can be,
+/// 1 ms with four times that.
 #[test]
-fn every_models_loops_are_calm_with_the_periods_that_are_called_safe() {
+fn every_models_loops_are_calm_with_the_documented_periods() {
     for (times, period_us) in [(1.0, 200), (4.0, 1_000)] {
         for model in MODELS.iter().map(|it| MotorParameters::named(it.name).unwrap()) {
             let inertia_kg_m2 = times * model.inertia_kg_m2();

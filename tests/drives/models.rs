@@ -1,7 +1,7 @@
-//! Each model of the library against its data sheet, in runs of the physics.
+//! Each model of the library compared with its data sheet, in runs of the physics.
 //!
-//! The figures are typed off the sheets once more here, so that a slip in a model's file is seen. What the
-//! sheets are, and what they leave out, is in `host-std/models/README.md`.
+//! The figures are typed from the sheets once more here, so that a slip in a model's file shows. For the sheets and what
+//! they leave out see `host-std/models/README.md`.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{MODELS, MotorParameters, SimulatedMotor};
@@ -31,8 +31,7 @@ struct Sheet {
 enum NoLoad {
     /// Input current, A.
     Input(f64),
-    /// Input current, A, which would lose more than is lost at the rated point: a motor of which both are true
-    /// cannot be.
+    /// Input current, A. It would lose more power than is lost at the rated point, so no motor can have both.
     Contradicted(f64),
     NotGiven,
 }
@@ -55,7 +54,7 @@ const SHEETS: [Sheet; 12] = [
 ];
 
 impl Sheet {
-    /// With the gear's teeth closed: these are figures of a motor that has taken its load along.
+    /// Without play in the gear: the figures are of a motor that moves its load.
     fn parameters(&self) -> MotorParameters {
         let mut parameters = MotorParameters::named(self.name).unwrap();
         parameters.gear.backlash_arcmin = 0.0;
@@ -74,8 +73,8 @@ fn each_model_has_its_sheet() {
     assert_eq!(MODELS.map(|model| model.name), SHEETS.map(|sheet| sheet.name));
 }
 
-/// At the rated speed the rated current is reached, and balances the rated torque to 1 %; the input power is
-/// what the rated efficiency says, to 2 %.
+/// At the rated speed the rated current is reached and balances the rated torque to 1 %. The input power matches the
+/// rated efficiency to 2 %.
 #[test]
 fn the_rated_point_is_met() {
     for sheet in SHEETS {
@@ -93,8 +92,8 @@ fn the_rated_point_is_met() {
     }
 }
 
-/// Without load and with all the current it wants a motor ends at the no-load speed, to 2 %, and draws the
-/// no-load current, to 10 %.
+/// Without load, and with as much current as it needs, a motor ends at the no-load speed, to 2 %, and draws the no-load
+/// current, to 10 %.
 #[test]
 fn the_no_load_point_is_met() {
     for sheet in SHEETS {
@@ -113,8 +112,8 @@ fn the_no_load_point_is_met() {
     }
 }
 
-/// A shaft that hardly turns is pushed with the peak torque at the peak current, to 20 %: the models' torque
-/// is in proportion to the current, the motors' is not.
+/// A shaft that hardly turns is pushed with the peak torque at the peak current, to 20 %: the torque of the models is
+/// proportional to the current, that of real motors is not.
 #[test]
 fn the_peak_torque_is_met() {
     for sheet in SHEETS {
@@ -133,7 +132,7 @@ fn the_peak_torque_is_met() {
 fn the_rated_rise_is_met() {
     for sheet in SHEETS {
         let mut p = sheet.parameters();
-        // Less to heat: the end is the same, and sooner there.
+        // Less heat capacity: the final temperature is the same, but comes sooner.
         p.thermal.winding_capacity_j_per_k = 1.0;
         p.thermal.mos_capacity_j_per_k = 1.0;
         let mut m = motor(p);
@@ -141,12 +140,12 @@ fn the_rated_rise_is_met() {
         let locked = Actuation { brake_released: false, ..amps(sheet.rated.2 as f32) };
         let measured = m.advance(&locked, Duration::from_secs(50));
         close(f64::from(measured.motor_temperature_c), 84.0, 0.02);
-        // It may do so for good.
+        // The output stage bears this for ever.
         assert!(measured.mos_temperature_c < 80.0, "{}: {measured:?}", sheet.name);
     }
 }
 
-/// Nobody's hand turns the shaft below the back-drive torque.
+/// A hand cannot turn the shaft below the back-drive torque.
 #[test]
 fn the_back_drive_torque_is_met() {
     for sheet in SHEETS {
@@ -161,8 +160,8 @@ fn the_back_drive_torque_is_met() {
     }
 }
 
-/// With an encoder on the output shaft a drive knows after a start where that is; without one, only within a
-/// turn of the motor shaft: 40 degrees of an RMD-X8-PRO's output, so that 30 degrees are -10.
+/// With an encoder on the output shaft a drive knows its position after a start. Without one it knows the position only
+/// within a turn of the motor shaft. That is 40 degrees of an RMD-X8-PRO's output, so 30 degrees are -10.
 #[test]
 fn one_encoder_knows_the_turn_of_the_motor_only() {
     for (name, expected_deg) in [("RMD-X6-P20-60", 30.0), ("RMD-X8-PRO", -10.0)] {

@@ -1,4 +1,4 @@
-//! What the simulated shaft carries, against mechanics worked out by hand, as in `plant_physics`.
+//! Loads on the simulated shaft, compared with mechanics worked out by hand, as in `plant_physics`.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -23,13 +23,13 @@ fn ended(at_deg: f64, stiffness_nm_per_rad: f64, restitution: f64) -> Load {
     Load { upper_stop: Some(stop), ..Load::NONE }
 }
 
-/// 2 kg at 0.4 m, which hang at 30°: 7.85 N·m when level, 0.32 kg·m².
+/// 2 kg at 0.4 m that hang at 30°: 7.85 N·m when level, 0.32 kg·m².
 const ARM: Arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: 30.0 };
 const HANGING: Load = Load { arm: Some(ARM), ..Load::NONE };
 const WEIGHT_NM: f64 = 2.0 * G * 0.4;
 const HANGING_KG_M2: f64 = INERTIA + 2.0 * 0.4 * 0.4;
 
-/// The mean time between passages of an angle upwards, s, and how many periods it is the mean of.
+/// The mean time between upward passages of an angle, s, and the number of periods in that mean.
 fn period_s(m: &mut SimulatedMotor, about_rad: f64, span: Duration) -> (f64, u32) {
     let (mut first, mut last, mut periods) = (None, 0.0, 0);
     for step in 1..=span.as_micros() / STEP.as_micros() {
@@ -37,7 +37,7 @@ fn period_s(m: &mut SimulatedMotor, about_rad: f64, span: Duration) -> (f64, u32
         m.advance(&OFF, STEP);
         let now = angle(m) - about_rad;
         if before < 0.0 && now >= 0.0 {
-            // Between two steps it goes straight.
+            // Interpolated between two steps.
             last = (step as f64 - now / (now - before)) * STEP_S;
             periods += u32::from(first.is_some());
             first = first.or(Some(last));
@@ -48,7 +48,7 @@ fn period_s(m: &mut SimulatedMotor, about_rad: f64, span: Duration) -> (f64, u32
 
 // Springs
 
-/// f = 1/2π √(k/J) for a spring from both sides: 40 N·m/rad and 0.1 kg·m² give 20 rad/s.
+/// f = 1/2π √(k/J) for a spring that acts both ways: 40 N·m/rad and 0.1 kg·m² give 20 rad/s.
 #[test]
 fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
     let mut m = loaded(ideal(), sprung(40.0));
@@ -65,7 +65,7 @@ fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
     close(found_s, TAU / 20.0, 1e-6);
 }
 
-/// It pulls to its own angle, and the friction of the shaft decides where it ends: within τ/k of it.
+/// It pulls to its rest angle. The friction of the shaft decides where it ends: within τ/k of that.
 #[test]
 fn a_spring_pulls_to_its_angle() {
     let spring = Spring { rest_deg: -400.0, stiffness_nm_per_rad: 20.0 };
@@ -77,7 +77,7 @@ fn a_spring_pulls_to_its_angle() {
 
 // Arms
 
-/// T = 2π √(J / m g l) for a small swing, about the angle where it hangs; 1 + φ²/16 is 1 within 10⁻⁶ for 0.2°.
+/// T = 2π √(J / m g l) for a small swing about the angle where it hangs. For 0.2°, 1 + φ²/16 is 1 within 10⁻⁶.
 #[test]
 fn an_arm_is_a_pendulum() {
     let mut m = loaded(ideal(), HANGING);
@@ -86,13 +86,13 @@ fn an_arm_is_a_pendulum() {
     let (found_s, periods) = period_s(&mut m, 30_f64.to_radians(), Duration::from_secs(60));
     assert!(periods > 30, "{periods}");
     close(found_s, TAU * (HANGING_KG_M2 / WEIGHT_NM).sqrt(), 2e-6);
-    // Upside down it stands, and at a right angle its whole weight pulls.
+    // At a right angle its whole weight pulls.
     m.set_output_angle_deg(120.0).unwrap();
     m.advance(&OFF, STEP);
     close(speed(&m), -WEIGHT_NM / HANGING_KG_M2 * STEP_S, 1e-6);
 }
 
-/// ½Jω² - m g l cos φ stays for a minute, of a wide swing and of one that goes over the top.
+/// ½Jω² - m g l cos φ stays constant for a minute, in a wide swing and in one that goes over the top.
 #[test]
 fn an_arm_keeps_its_energy() {
     for (start_deg, start_dps) in [(30.0 + 150.0, 0.0), (30.0, 700.0)] {
@@ -114,8 +114,7 @@ fn an_arm_keeps_its_energy() {
 
 // Dampers
 
-/// ω = ω₀ e^(-b t/J) and φ = ω₀ J/b (1 - e^(-b t/J)), at any strength; the load's damper and the motor's
-/// friction add up.
+/// ω = ω₀ e^(-b t/J) and φ = ω₀ J/b (1 - e^(-b t/J)). The load's damper and the motor's friction add up.
 #[test]
 fn a_damper_takes_the_speed_exponentially() {
     let load = Load { damping_nm_s_per_rad: 0.3, inertia_kg_m2: 0.1, ..Load::NONE };
@@ -129,8 +128,8 @@ fn a_damper_takes_the_speed_exponentially() {
     }
 }
 
-/// A damper far stronger than a step can follow explicitly (b h/J up to 10⁶) is stable: a torque makes
-/// it creep with τ/b, a spring pulls it back, at last with e^(-k t/b).
+/// A damper is stable even if it is far too strong for an explicit step (b h/J up to 10⁶). A torque makes it creep with
+/// τ/b. A spring pulls it back, in the end with e^(-k t/b).
 #[test]
 fn a_damper_of_any_strength_is_stable() {
     for damping in [1e2, 1e4, 1e6] {
@@ -163,9 +162,9 @@ fn a_damper_of_any_strength_is_stable() {
 
 // End stops
 
-/// It throws back with the share of the speed that is asked for, whatever the speed, the stiffness (up to
-/// what the step allows: 4·10⁵ N·m/rad here) and the part of a step at which it is touched, and is pressed
-/// in by ω √(J/k). Both within 0.5 %: below 0.995 nothing is gained.
+/// A stop throws back with its share of the speed and is pressed in by ω √(J/k). This holds for every speed, every
+/// stiffness that the step allows (up to 4·10⁵ N·m/rad here), and every part of a step at which it is touched. The share
+/// is met within 0.005 and the depth within 1 %. Below a restitution of 1 no speed is gained.
 #[test]
 fn a_stop_throws_back_with_its_share_of_the_speed() {
     for restitution in [0.0, 0.1, 0.5, 0.9, 0.995, 1.0] {
@@ -178,7 +177,7 @@ fn a_stop_throws_back_with_its_share_of_the_speed() {
                         .unwrap();
                     m.set_output_speed_dps(start_dps).unwrap();
                     let mut deepest: f64 = 0.0;
-                    // In, and out restitution times as fast; two steps more.
+                    // In, and out restitution times as fast. Then two steps more.
                     let contact_s =
                         FRAC_PI_2 * slowness_s * (1.0 + 1.0 / f64::max(restitution, 0.1));
                     for _ in 0..(contact_s / STEP_S) as u32 + 3 {
@@ -214,9 +213,9 @@ fn a_stop_throws_back() {
     close(f64::from(touching) * 1e-4, TAU / 2.0 * 0.01, 0.01);
 }
 
-/// An arm that falls on a stop loses energy only, is pressed in by no more than its energy allows, and comes
-/// to rest for ever, where the stop holds its weight: between τ/k and τ/(e² k). It does so in the time of
-/// all its jumps, of which each is the share e of the last: 2ω/α (1 + e + e² + ...).
+/// An arm that falls on a stop only loses energy, and presses it in by no more than its energy allows. It comes to rest
+/// for ever where the stop holds its weight: between τ/k and τ/(e² k). That takes the time of all its jumps, each the
+/// share e of the one before: 2ω/α (1 + e + e² + ...).
 #[test]
 fn what_falls_on_a_stop_comes_to_rest() {
     for (restitution, stiffness) in [(0.0, 2e4), (0.3, 2e4), (0.3, 1e6), (0.7, 1e5), (0.9, 1e5)] {
@@ -258,8 +257,8 @@ fn what_falls_on_a_stop_comes_to_rest() {
     }
 }
 
-/// Leaning on a stop with a constant torque, damped, ends where k x = τ, or deeper by what the stop does not
-/// give back: e² k x ≤ τ. Let go, it is thrown out.
+/// A damped motor that leans on a stop with a constant torque ends where k x = τ, or deeper by what the stop does not
+/// give back: e² k x ≤ τ. Switched off, it is thrown out.
 #[test]
 fn a_motor_leaning_on_a_stop_comes_to_rest() {
     for restitution in [1.0, 0.5] {
@@ -274,7 +273,7 @@ fn a_motor_leaning_on_a_stop_comes_to_rest() {
     }
 }
 
-/// Between two stops it ends, whatever it came with, and stands.
+/// A fast shaft ends between the two stops and stands still.
 #[test]
 fn two_stops_keep_the_shaft_between_them() {
     let stop = |at_deg| EndStop { at_deg, stiffness_nm_per_rad: 5e4, restitution: 0.6 };

@@ -1,6 +1,6 @@
-//! The simulated motor against mechanics and circuits worked out by hand.
+//! The simulated motor compared with mechanics and circuits worked out by hand.
 //!
-//! Every expected value is a closed form in the parameters of the test; none is taken from a run.
+//! Every expected value is a closed form in the parameters of the test. None is taken from a run.
 
 use myactuator_host_std::sim::plant::{
     BrakeResistor, CurrentScale, EndStop, Load, MotorParameters, SimulatedMotor, Supply,
@@ -17,7 +17,7 @@ pub(super) fn amps(current_a: f32) -> Actuation {
     Actuation { current_a, output_on: true, brake_released: true }
 }
 
-/// A motor of round figures: 0.1 kg·m² at the output, 2 N·m/A, no losses but copper's.
+/// A motor of round figures: 0.1 kg·m² at the output, 2 N·m/A, no losses except in copper.
 pub(super) fn ideal() -> MotorParameters {
     let mut p = MotorParameters::named("RMD-X8-PRO").unwrap();
     p.gear.ratio = 10.0;
@@ -48,7 +48,7 @@ pub(super) fn loaded(parameters: MotorParameters, load: Load) -> SimulatedMotor 
     m
 }
 
-/// A motor with a load that no torque moves.
+/// A motor with a load so heavy that no torque moves it.
 pub(super) fn held(parameters: MotorParameters) -> SimulatedMotor {
     loaded(parameters, Load { inertia_kg_m2: 1e6, ..Load::NONE })
 }
@@ -77,8 +77,8 @@ pub(super) fn close(found: f64, expected: f64, share: f64) {
 
 // Mechanics
 
-/// ω = τ t / J: 4 N·m for 0.2 s on 0.1 kg·m² is 8 rad/s, and the angle is half of that times t. Without any
-/// torque the momentum stays.
+/// ω = τ t / J: 4 N·m for 0.2 s on 0.1 kg·m² are 8 rad/s, and the angle is half of that times t. Without torque the
+/// momentum stays.
 #[test]
 fn momentum_is_torque_times_time_without_friction() {
     let mut m = motor(ideal());
@@ -89,14 +89,16 @@ fn momentum_is_torque_times_time_without_friction() {
     m.advance(&OFF, Duration::from_secs(10));
     close(m.output_speed_dps(), before_dps, 1e-12);
     close(m.output_angle_deg(), before_deg + 10.0 * before_dps, 1e-9);
-    // The opposite torque for as long takes all of it back.
+    // The opposite torque for the same time takes it all away.
     m.advance(&amps(-2.0), MS.times(200));
     assert!(speed(&m).abs() < 1e-9);
 }
 
-/// ω = τ t / J for 0.2 s: the rotor counts with the square of the gear ratio, the load as it is; with
-/// efficiency 0.8 the air gap's 5 N·m are 4 N·m at the output, which accelerate; a load's torque acts like a
-/// weight on a drum.
+/// ω = τ t / J for 0.2 s:
+///
+/// - The rotor counts with the square of the gear ratio, the load as it is.
+/// - With an efficiency of 0.8 the air gap's 5 N·m are 4 N·m at the output, which accelerate.
+/// - A load's torque acts like a weight on a drum.
 #[test]
 fn load_and_gear_take_their_share() {
     let mut lossy = ideal();
@@ -132,7 +134,7 @@ fn constant_torque_against_viscous_friction() {
     close(angle(&m), expected, 1e-5);
 }
 
-/// Coulomb friction alone: a shaft with ω stops after J ω / τ, and stays.
+/// Coulomb friction alone: a shaft with ω stops after J ω / τ and stays there.
 #[test]
 fn coulomb_friction_stops_the_shaft_after_a_finite_time() {
     let mut m = motor(with_friction(0.5, 0.5, 0.0));
@@ -148,8 +150,8 @@ fn coulomb_friction_stops_the_shaft_after_a_finite_time() {
     assert_eq!(m.output_angle_deg(), at_rest);
 }
 
-/// Below static friction nothing creeps or chatters, even if the torque changes sign every step; above it
-/// the shaft goes with Coulomb friction only.
+/// Below static friction nothing creeps or chatters, even if the torque changes sign every step. Above it only Coulomb
+/// friction acts on the moving shaft.
 #[test]
 fn static_friction_holds_up_to_its_limit() {
     let mut m = motor(with_friction(1.0, 0.6, 0.0));
@@ -169,7 +171,7 @@ fn static_friction_holds_up_to_its_limit() {
     close(speed(&m), 2.005, 1e-3);
 }
 
-/// The brake holds anything below its limit without giving way, and slips above it.
+/// Below its limit the brake holds without giving way. Above it the brake slips.
 #[test]
 fn the_brake_holds_and_slips_at_its_limit() {
     let mut p = ideal();
@@ -181,7 +183,7 @@ fn the_brake_holds_and_slips_at_its_limit() {
     m.set_external_torque_nm(6.0).unwrap();
     m.advance(&BRAKED, MS.times(100));
     close(speed(&m), (6.0 - 5.0) * 0.1 / INERTIA, 1e-9);
-    // It stops what turns: 1 rad/s against 5 N·m takes 20 ms.
+    // It stops a turning shaft: 1 rad/s against 5 N·m takes 20 ms.
     m.set_external_torque_nm(0.0).unwrap();
     m.advance(&BRAKED, MS.times(19));
     assert!(speed(&m) > 0.0);
@@ -194,10 +196,10 @@ fn the_brake_holds_and_slips_at_its_limit() {
 
 // Electrics
 
-/// A phase has at most half of 48 V. Its back-EMF has the amplitude 2/3 Kt ω (three half waves of
-/// power make Kt i ω), so the motor ends at ω = 24 V / (2/3 * 2 N·m/A) = 18 rad/s, whatever current
-/// is asked for. On the voltage limit the current is (V - EMF) / R, and the speed rises exponentially with
-/// the time constant J R / (2/3 Kt²) = 0.1 * 0.5 / (8/3) = 18.75 ms.
+/// A phase has at most half of 48 V. Its back-EMF has the amplitude 2/3 Kt ω (three half waves of power make Kt i ω).
+/// So the motor ends at ω = 24 V / (2/3 * 2 N·m/A) = 18 rad/s, whatever current is commanded. On the voltage limit the
+/// current is (V - EMF) / R, and the speed rises exponentially with the time constant J R / (2/3 Kt²) =
+/// 0.1 * 0.5 / (8/3) = 18.75 ms.
 #[test]
 fn back_emf_limits_the_no_load_speed() {
     for asked in [1.0, 50.0, 1000.0] {
@@ -216,9 +218,8 @@ fn back_emf_limits_the_no_load_speed() {
     }
 }
 
-/// A stalled motor takes 3/2 R i² from the supply, and the electronics' own power besides. An ampere (rms)
-/// is √2 A at the peak, which doubles the loss; copper at 125 °C has 1 + 0.00393 * 100 times the
-/// resistance it has at 25 °C.
+/// A stalled motor takes 3/2 R i² from the supply, plus the electronics' own power. An ampere (rms) is √2 A at the peak,
+/// which doubles the loss. Copper at 125 °C has 1 + 0.00393 * 100 times its resistance at 25 °C.
 #[test]
 fn a_stalled_motor_draws_copper_loss() {
     let mut lossy = ideal();
@@ -248,8 +249,8 @@ fn amplitude(measured: &Measurement) -> f64 {
     (squares * 2.0 / 3.0).sqrt()
 }
 
-/// At every angle the phases sum to 0 and have the amplitude of the torque current; over one
-/// electrical turn each goes once through its whole range.
+/// At every angle the phases sum to 0 and have the amplitude of the torque current. Over one electrical turn each goes
+/// once through its whole range.
 #[test]
 fn phase_currents_are_three_sines_that_sum_to_zero() {
     let p = ideal();
@@ -271,8 +272,8 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
         close(f64::from(highest[phase]), 3.0, 1e-3);
         close(f64::from(lowest[phase]), -3.0, 1e-3);
     }
-    // With the current all in the quadrature axis, phase A is 0 at electrical angle 0 and is at its
-    // negative peak a quarter of an electrical turn on.
+    // All current is in the quadrature axis, so phase A is 0 at electrical angle 0 and at its negative peak a quarter of
+    // an electrical turn later.
     m.set_output_angle_deg(0.0).unwrap();
     let phases = m.advance(&amps(3.0), Duration::from_micros(100)).phase_currents_a;
     assert!(phases[0].abs() < 1e-3, "{phases:?}");
@@ -281,9 +282,9 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
     close(f64::from(phases[0]), -3.0, 1e-4);
 }
 
-/// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2. A turning motor that brakes with
-/// little current pushes Kt i ω less copper loss into the supply, whose voltage rises by the same law with
-/// the feedback resistance.
+/// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2. A turning motor that brakes with little current
+/// pushes Kt i ω less copper loss into the supply. The supply's voltage rises by the same law, with the feedback
+/// resistance.
 #[test]
 fn the_supply_sags_under_load_and_rises_with_feedback() {
     let weak = Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) };
@@ -302,9 +303,9 @@ fn the_supply_sags_under_load_and_rises_with_feedback() {
     }
 }
 
-/// With the output off the diodes conduct from a back-EMF of √3 * 4/3 ω = 48 V between two phases on, at 20.8
-/// rad/s. At 30 rad/s a phase has 40 V, of which 48/√3 V are the supply's: the rest drives a current through
-/// 0.5 Ω, which brakes with 2 N·m/A, and what copper leaves of that power goes into the supply.
+/// With the output off the diodes conduct once the back-EMF between two phases, √3 * 4/3 ω, exceeds 48 V, at 20.8 rad/s.
+/// At 30 rad/s a phase has 40 V, of which the supply takes 48/√3 V. The rest drives a current through 0.5 Ω, which
+/// brakes with 2 N·m/A. The power that copper does not lose goes into the supply.
 #[test]
 fn a_motor_that_is_turned_fast_feeds_back_through_its_diodes() {
     for (rad_per_s, current_a) in [(20.0, 0.0), (30.0, -(40.0 - 48.0 / 3_f64.sqrt()) / 0.5)] {
@@ -325,9 +326,10 @@ fn a_motor_that_is_turned_fast_feeds_back_through_its_diodes() {
     }
 }
 
-/// A bench supply takes back little (20 Ω). With 10 Ω that go on above 54 V and off below 52 V the voltage swings
-/// between these, give or take what a step does, while 117 W are fed back: less than the 10 Ω burn. Of 900 W
-/// they burn as much as they can: V²/10 + (V - 48) V / 20 = 900, at 86 V instead of 160 V.
+/// A bench supply takes back little (20 Ω). A brake resistor of 10 Ω goes on above 54 V and off below 52 V.
+///
+/// - 117 W of feedback are less than the resistor burns: the voltage swings between these, give or take a step.
+/// - Of 900 W it burns as much as it can: V²/10 + (V - 48) V / 20 = 900, at 86 V instead of 160 V.
 #[test]
 fn a_brake_resistor_burns_what_is_fed_back() {
     let brake = BrakeResistor { on_above_v: 54.0, off_below_v: 52.0, resistance_ohm: 10.0 };
@@ -346,7 +348,7 @@ fn a_brake_resistor_burns_what_is_fed_back() {
         }
         if fed_back_w < 200.0 {
             close(fed_back_w, 117.0, 0.001);
-            // A step changes it by 0.1 ms times 3.3 A (that are left of 5.5 A) at the most, over 1 mF.
+            // A step changes the voltage by at most 0.1 ms times 3.3 A (left of 5.5 A), over 1 mF.
             assert!((51.6..52.0).contains(&least), "{least}");
             assert!((54.0..54.3).contains(&most), "{most}");
         } else {
@@ -369,7 +371,7 @@ fn a_brake_resistor_burns_what_is_fed_back() {
     assert_eq!(told, expected);
 }
 
-/// A supply far too weak bends the voltage; nothing breaks, and the voltage never gets negative.
+/// With a supply that is far too weak the voltage collapses. It never becomes negative, and all values stay finite.
 #[test]
 fn an_overloaded_supply_collapses_without_nonsense() {
     let mut m = motor(ideal());
@@ -383,8 +385,8 @@ fn an_overloaded_supply_collapses_without_nonsense() {
 
 // Energy
 
-/// Electrical energy in = copper + friction + kinetic + spring + lifted weight, each reckoned from
-/// what is measured: a start, a reversal, a stop in a spring.
+/// Electrical energy in = copper + friction + kinetic + spring + lifted weight, each calculated from measured values: a
+/// start, a reversal, a stop in a spring.
 #[test]
 fn energy_balances() {
     let mut p = with_friction(0.3, 0.3, 0.2);
@@ -433,7 +435,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
     p.thermal.mos_resistance_k_per_w = 5.0; // 20 s
     let mut m = held(p);
     m.set_ambient_c(20.0).unwrap();
-    // From 25 °C, the start, towards 20 °C + rise; 4 A: 12 W in the winding, 2.4 W in the stage.
+    // From 25 °C at the start towards 20 °C + rise. 4 A: 12 W in the winding, 2.4 W in the stage.
     let at = |rise: f64, start: f64, tau: f64, t: f64| {
         20.0 + rise + (start - 20.0 - rise) * (-t / tau).exp()
     };
@@ -448,7 +450,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
 
 // Determinism
 
-/// The same second in other portions gives the same bits, because what is left over is carried.
+/// The same second in other portions gives the same bits, because remainders are carried over.
 #[test]
 fn any_split_of_the_time_gives_the_same_bits() {
     let run = |portion_us: u64| {
@@ -462,7 +464,7 @@ fn any_split_of_the_time_gives_the_same_bits() {
             last = m.advance(&amps(4.0), Duration::from_micros(now));
             left_us -= now;
         }
-        // Numbers print in as many digits as tell them apart.
+        // Numbers print with enough digits to be distinct.
         format!("{:?}", (last, m.output_angle_deg(), m.output_speed_dps()))
     };
     let whole = run(1_000_000);

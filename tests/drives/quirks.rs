@@ -1,5 +1,5 @@
-//! Field behaviour beside the manual, each option on and off (a lost master's heartbeat is in `fleet`),
-//! and what no drive may ever do.
+//! Behaviour of real drives that differs from the manual, with each option on and off, and what no drive may ever do.
+//! The heartbeat after a lost master is in `fleet`.
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
@@ -17,7 +17,7 @@ fn with(quirks: Quirks) -> Bench {
     Bench::new(Parameters { has_brake: true, quirks, ..Parameters::default() })
 }
 
-/// After 0x76 the drive answers again after about 1.1 s.
+/// After 0x76 the drive does not answer for about 1.1 s.
 #[test]
 fn slow_boot() {
     let mut bench = with(Quirks { slow_boot: true, ..Quirks::default() });
@@ -36,7 +36,7 @@ fn slow_boot() {
     assert!((1_105..=1_120).contains(&run_time), "since the restart: {run_time}");
 }
 
-/// The brake opens 50 to 150 ms after 0x77; the drive, which has answered at once, does not wait.
+/// The brake opens 50 to 150 ms after 0x77. The drive answers at once and does not wait for the brake.
 #[test]
 fn slow_brake() {
     let mut opened = Vec::new();
@@ -58,7 +58,7 @@ fn slow_brake() {
     assert!(opened.iter().max().unwrap() - opened.iter().min().unwrap() > 50, "{opened:?}");
 }
 
-/// The brake locks 50 to 150 ms after 0x78. Until then what was on holds on, unless 0x80 switches it off.
+/// The brake locks 50 to 150 ms after 0x78. Until then the output stays on, unless 0x80 switches it off.
 #[test]
 fn a_slow_brake_locks_late() {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
@@ -95,7 +95,7 @@ fn a_slow_brake_locks_late() {
     bench.run(millis(30));
     assert_ne!(bench.angle(), angle, "nothing holds it yet");
 
-    // One that was off stays off.
+    // An output that was off stays off.
     let mut bench = Bench::new(Parameters { has_brake: true, quirks, ..Parameters::default() });
     bench.write(ReleaseBrake);
     bench.run(millis(200));
@@ -103,7 +103,7 @@ fn a_slow_brake_locks_late() {
     assert!(!bench.state().output_on);
 }
 
-/// Also where the drive restarts meanwhile: it does not open once more.
+/// Even if the drive restarts meanwhile: the brake does not open once more.
 #[test]
 fn a_slow_brake_locks_once_at_a_restart() {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
@@ -138,7 +138,7 @@ fn silent_id_change() {
     assert_eq!(bench.drive.id(), id);
 }
 
-/// The turns are lost although function 4 is on.
+/// The turns are lost, although function 4 is on.
 #[test]
 fn turns_lost() {
     for (turns_lost, angle) in [(true, 30.0), (false, 390.0)] {
@@ -151,7 +151,7 @@ fn turns_lost() {
     }
 }
 
-/// Writes to ROM are answered but take only while the motor is shut down.
+/// Writes to ROM are answered, but take effect only while the motor is shut down.
 #[test]
 fn rom_needs_shutdown() {
     let mut bench = with(Quirks { rom_needs_shutdown: true, ..Quirks::default() });
@@ -168,7 +168,7 @@ fn rom_needs_shutdown() {
     assert_eq!(bench.ask(ReadPid { index: write.index }).value, write.value);
 }
 
-/// 0x79 to one motor's identifier, and a byte that is nobody's: the last reply comes once more.
+/// 0x79 to one motor's identifier, or an unknown command byte: the last reply comes once more.
 #[test]
 fn repeats_last_reply() {
     let to_one = Channel::Command(ID.into());
@@ -187,7 +187,7 @@ fn repeats_last_reply() {
     }
 }
 
-/// Function 5 is answered under the new id, and so is everything that is sent to the old one until 0x76.
+/// Function 5 is answered under the new id. So are all commands to the old id until 0x76.
 #[test]
 fn answers_as_new_id() {
     let to_old = Channel::Command(ID.into());
@@ -210,7 +210,7 @@ fn answers_as_new_id() {
     }
 }
 
-/// 0x9A says "released" while the drive obeys, and at no other time.
+/// 0x9A reports "released" only while the output is on.
 #[test]
 fn brake_told_by_motion() {
     let (lock, release) = (BrakeCommand::LOCK, BrakeCommand::RELEASE);
@@ -227,7 +227,7 @@ fn brake_told_by_motion() {
     }
 }
 
-/// While 0x92 is reported nothing is answered; all is done.
+/// While 0x92 is reported the drive obeys commands but answers none.
 #[test]
 fn silent_while_reporting() {
     let report = |enable| ActiveReply {
@@ -250,7 +250,7 @@ fn silent_while_reporting() {
     }
 }
 
-/// The reply to what changes the ROM comes late, and those behind it with it; all others come as ever.
+/// The reply to a command that changes the ROM comes late, and so do the replies after it. All others come in time.
 #[test]
 fn slow_rom() {
     let gain = |value| (PidIndex::SPEED_KI, Gain::new(value).unwrap());
@@ -276,7 +276,7 @@ fn slow_rom() {
     }
 }
 
-/// The response delay is drawn from its range, by the seed, and replies keep their order.
+/// The response delay is drawn from its range, by the seed.
 #[test]
 fn response_delays_are_drawn_by_the_seed() {
     let delays = |seed| {
@@ -321,7 +321,7 @@ fn replies_keep_their_order() {
     }
 }
 
-/// A caller that lets hours pass gets bounded work a call, and a drive that ends up right.
+/// A caller that lets hours pass gets bounded work per call. The drive's clock catches up and never goes back.
 #[test]
 fn a_late_caller_gets_bounded_work() {
     let plant = IdealPlant::default();
@@ -350,8 +350,8 @@ fn any_channel() -> impl Strategy<Value = Channel> {
 }
 
 proptest! {
-    /// Whatever comes over the bus, the drive lives, puts out no more than its stall current, and what
-    /// it measures stays a number.
+    /// Whatever comes over the bus, the drive does not panic or exceed its stall current, and its measurements stay
+    /// finite.
     #[test]
     fn nothing_on_the_bus_hurts_it(
         packets in prop::collection::vec((any_channel(), any_data(), 0_u64..30), 1..80),

@@ -1,4 +1,4 @@
-//! The drives' bit rate (2.32): a change acts after the next start, and then a drive is heard at its new rate only.
+//! The drives' bit rate (2.32): a change acts after the next start. Then a drive is heard at its new rate only.
 
 use myactuator_host_std::sim::bus::can::{CanBus, ErrorState};
 use myactuator_host_std::sim::{BusFleet, Fleet};
@@ -27,7 +27,7 @@ fn slower<W: Wire>() -> u32 {
     if W::NAME == CanBus::NAME { 500_000 } else { 115_200 }
 }
 
-/// A master that is as patient as the slowest line wants it, at this bit rate.
+/// A master at this bit rate, patient enough for the slowest line.
 fn master_at<W: Wire>(bus: &BusFleet<W>, bit_rate: u32) -> W::Runner<8> {
     let config = Config { reply_timeout: millis(20), ..W::CONFIG };
     let (master, station) = W::runner(&bus.world, config);
@@ -73,7 +73,7 @@ fn a_new_rate_acts_after_the_supply_was_gone<W: Wire>() {
     assert!(master_at(&bus, slower::<W>()).ask(id(1), ReadModel).is_ok());
 }
 
-/// Two of three drives were set to another rate: a search at both finds all.
+/// Two of three drives are set to another rate. A scan at both rates finds all.
 fn drives_are_found_at_their_rates<W: Wire>() {
     let bus: BusFleet<W> = W::drives(&Fleet::new(3)).unwrap();
     let mut master = master_at(&bus, 1_000_000);
@@ -89,7 +89,7 @@ fn drives_are_found_at_their_rates<W: Wire>() {
     assert_eq!(found(&bus, 1_000_000), [2]);
 }
 
-/// A bus at a rate that the manual gives no code: its drives have it all the same.
+/// The bus has a rate without a code in the manual. Its drives have that rate nevertheless.
 #[test]
 fn drives_keep_to_a_bus_whose_rate_has_no_code() {
     let bus = Fleet::new(1).on_can(250_000).unwrap();

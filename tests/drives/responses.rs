@@ -1,4 +1,4 @@
-//! Step and frequency responses of the motor and of the drive's loops against the closed forms of the linear
+//! Step and frequency responses of the motor and of the drive's loops, compared with the closed forms of the linear
 //! system: no friction, no limit reached.
 
 use std::f64::consts::TAU;
@@ -16,8 +16,8 @@ use super::plant_physics::{INERTIA, amps, angle, ideal, loaded};
 
 const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
 
-/// Gain and phase lead (degrees) of an output to an input of sin(2π n / period), n the number of the step: the
-/// mean over some periods, after others in which what the start gave has died away.
+/// Gain and phase lead (degrees) of an output to an input of sin(2π n / period) in step n: the mean over `periods`
+/// periods, after `waited` periods in which the transient of the start dies away.
 fn response(
     period: u32,
     waited: u32,
@@ -29,7 +29,7 @@ fn response(
         let turns = f64::from(step % period) / f64::from(period);
         let output = out_of((turns * TAU).sin());
         if step >= period * waited {
-            // The output is looked at when the step is over.
+            // The output is read when the step is over.
             let (sin, cos) = (turns * TAU + TAU / f64::from(period)).sin_cos();
             in_phase += output * sin;
             ahead += output * cos;
@@ -56,7 +56,7 @@ fn same(found: (f64, f64), expected: (f64, f64), share: f64, degrees: f64, case:
     assert!(is_same, "{case}: {found:?}, expected {expected:?}");
 }
 
-/// θ/τ = 1 / (k - J ω² + j c ω): below, at and above the resonance at 20 rad/s, where it is 1/cω. 2 N·m/A.
+/// θ/τ = 1 / (k - J ω² + j c ω), with 2 N·m/A: below, at and above the resonance at 20 rad/s, where it is 1/cω.
 #[test]
 fn a_sprung_and_damped_shaft_answers_a_torque() {
     let (k, c) = (40.0, 0.8);
@@ -73,8 +73,8 @@ fn a_sprung_and_damped_shaft_answers_a_torque() {
     }
 }
 
-/// 0.1 kg·m², 2 N·m/A and no losses, told to the drive as they are, and an output that reaches no limit. The
-/// factory's rule then gives the speed loop 1000 rad/s without load.
+/// 0.1 kg·m², 2 N·m/A and no losses, as the drive knows them, and an output that reaches no limit. The factory's rule
+/// then makes the speed loop 1000 rad/s without load.
 fn linear() -> MotorParameters {
     let mut p = ideal();
     p.rating.torque_constant_nm_per_a = 2.0;
@@ -83,8 +83,8 @@ fn linear() -> MotorParameters {
     p
 }
 
-/// With ten times the inertia the factory's loops have these: bandwidth of the speed loop, its integral gain
-/// over its proportional one, gain of the position loop; 1/s.
+/// The factory's loops with ten times the inertia, in 1/s: the bandwidth of the speed loop, its integral gain over its
+/// proportional gain, and the gain of the position loop.
 const GROWTH: f64 = 10.0;
 const B: f64 = 1000.0 / GROWTH;
 const I: f64 = 5.0;
@@ -94,7 +94,7 @@ fn ten_times_heavier() -> Alone {
     Alone::new(&linear(), (GROWTH - 1.0) * INERTIA)
 }
 
-/// What the sampling of 0.1 ms adds to a continuous loop: half a step of hold.
+/// A continuous loop plus the delay of sampling every 0.1 ms: half a step of hold.
 fn sampled((gain, lead_deg): (f64, f64), rad_s: f64) -> (f64, f64) {
     (gain, lead_deg - (rad_s * STEP_S / 2.0).to_degrees())
 }
@@ -140,7 +140,7 @@ fn the_position_loop_answers_as_its_gains_say() {
     }
 }
 
-/// The same speed loop, of a step: 1 + Σ (B p + B I) / (p (p - q)) e^pt over its poles p, q of
+/// The step response of the same speed loop: 1 + Σ (B p + B I) / (p (p - q)) e^pt over its poles p, q of
 /// s² + 100 s + 500, which are -50 ± √2000.
 #[test]
 fn a_step_of_speed_is_followed_as_the_poles_say() {
@@ -168,7 +168,7 @@ fn a_step_of_motion_mode_swings_as_its_gains_say() {
         MotionSetPoint { position_rad: 0.5, kp: 100.0, kd: 2.0, ..MotionSetPoint::default() };
     let motion = MotionRanges::V4_3.quantise(&wanted).unwrap();
     alone.command(motion);
-    // In whole bits of a frame the gains are a little different, and none is quite 0: within half a bit.
+    // In the steps of a frame the gains differ a little, and zeros are not quite 0: within half a step.
     let inertia = GROWTH * INERTIA;
     let natural = (100.0 / inertia).sqrt();
     let damping = 2.0 / (2.0 * inertia * natural);

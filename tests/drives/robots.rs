@@ -1,4 +1,4 @@
-//! Robots from one file: that each motor is what it says, and that a run is the same every time.
+//! Robots from one file: each motor is what the file says, and a run is the same every time.
 
 use embassy_futures::join::join;
 use myactuator_host_std::protocol::command::{ReadModel, ReadMultiTurnAngle};
@@ -51,8 +51,8 @@ fn angles_deg<B: Medium>(fleet: &BusFleet<B>) -> Vec<f64> {
     fleet.drives.iter().map(|drive| drive.with(angle)).collect()
 }
 
-/// 1 kg at 0.5 m pulls 4.9 N·m sin, which falls from 150 degrees and comes to rest near 0 unless a brake holds
-/// it; a spring of 20 N·m/rad moves the joint towards 170 degrees.
+/// 1 kg at 0.5 m pulls with 4.9 N·m sin. It falls from 150 degrees and comes to rest near 0, unless a brake holds it. A
+/// spring of 20 N·m/rad moves the joint towards 170 degrees.
 #[test]
 fn each_motor_carries_its_load_from_where_it_starts() {
     let arm = robot().can("arm").unwrap();
@@ -83,14 +83,14 @@ fn two_buses_of_a_robot_are_two_tasks_of_one_clock() {
     );
     let ((x6, at_arm), (x8, at_tool)) = bus::block_on(&[&arm.world, &tool.world], both);
     assert_eq!((x6.as_str(), x8.as_str()), (Some("X6-60"), Some("X8-120")));
-    // Two answers after 0.7 to 0.9 ms on CAN; one after 2 to 3 ms, and 2 * 13 bytes of 87 us, on RS485.
+    // On CAN two answers after 0.7 to 0.9 ms. On RS485 one after 2 to 3 ms, and 2 * 13 bytes of 87 us.
     let within = |at: Instant, from, to| (from..=to).contains(&at.as_micros());
     assert!(within(at_arm, 1_600, 2_500), "{at_arm:?}");
     assert!(within(at_tool, 4_250, 5_400), "{at_tool:?}");
     assert_eq!(arm.world.now(), tool.world.now());
 }
 
-/// Moves all motors of a bus that loses frames, and gives all that was on it.
+/// Moves all motors of a bus that loses frames, and returns everything that was on it.
 fn on_the_wire(robot: &Robot) -> Vec<trace::Record<impl PartialEq + std::fmt::Debug + use<>>> {
     let arm = robot.can("arm").unwrap();
     let lossy = FaultPlan { lose: 0.2, ..FaultPlan::NONE };
@@ -98,7 +98,7 @@ fn on_the_wire(robot: &Robot) -> Vec<trace::Record<impl PartialEq + std::fmt::De
     let log = arm.world.log();
     let mut master = arm.master::<3>();
     for motor in [9, 4, 5].into_iter().cycle().take(60) {
-        // A motor that is not heard is asked again, or it is not: as chance has it.
+        // The call may fail: which replies are lost depends on the seed.
         let _ = master.ask(id(motor), go_to(140.0, 90));
     }
     log.take()
@@ -115,7 +115,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_does_not() {
 }
 
 #[test]
-fn two_equal_buses_of_a_robot_have_different_chance() {
+fn two_equal_buses_of_a_robot_have_different_seeds() {
     let bus = |name| {
         format!(
             "[[bus]]\nname = \"{name}\"\nkind = \"can\"\nbit_rate = 1_000_000\nmotor = [{{ id = 1 }}]\n"

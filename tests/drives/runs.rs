@@ -1,17 +1,16 @@
-//! A few whole runs of a simulated drive, written down so that a person can read them.
+//! A few whole runs of a simulated drive, in a form that a person can read.
 //!
-//! Each run is first held against what the manual or a closed form says of it, and only then against
-//! its picture in `snapshots/`. A picture says how it goes in between. Where a change of the drive or
-//! the physics is meant to change a run, and the run still passes everything but its picture, draw
-//! the pictures anew and read the difference before it is committed:
+//! Each run is first compared with what the manual or a closed form says of it, and then with its picture in
+//! `snapshots/`, which shows what happens in between. If a change of the drive or the physics is meant to change a run,
+//! and only the comparison with the picture fails, draw the pictures anew and read the difference before you commit it:
 //!
 //! ```text
 //! INSTA_UPDATE=always cargo test -p myactuator-tests --test drives runs
 //! git diff tests/drives/snapshots
 //! ```
 //!
-//! Otherwise a run that differs from its picture fails, and leaves the new one beside the old as
-//! `*.snap.new`; with `INSTA_UPDATE=no`, or where `CI` is set, it only fails.
+//! Otherwise a run that differs from its picture fails and leaves the new picture beside the old one as `*.snap.new`.
+//! With `INSTA_UPDATE=no`, or if `CI` is set, it only fails.
 
 use std::fmt::{Debug, Write as _};
 
@@ -46,7 +45,7 @@ fn one_drive(brake: bool) -> CanFleet {
     Fleet::new(1).model(model).brakes(brake).on_can(1_000_000).unwrap()
 }
 
-/// How the drive does at this very time.
+/// The state of the drive at this time.
 fn state_at(drive: &DriveHandle, now: Instant) -> State {
     drive.with(|drive| {
         drive.advance(now);
@@ -54,7 +53,7 @@ fn state_at(drive: &DriveHandle, now: Instant) -> State {
     })
 }
 
-/// Holds the run against its picture.
+/// Compares the run with its picture.
 macro_rules! assert_picture {
     ($name:literal, $title:expr, $run:expr) => {
         insta::with_settings!({
@@ -84,8 +83,7 @@ fn locked_open(brake: BrakeCommand) -> &'static str {
 
 // ---- position profile ----
 
-/// Where a trapezoid from 0 to `way` is after `t` seconds, and how fast: up and down at the same
-/// acceleration.
+/// Position and speed of a trapezoid from 0 to `way` after `t` seconds, up and down at the same acceleration.
 fn trapezoid(way: f64, max_speed: f64, acceleration: f64, t: f64) -> (f64, f64) {
     let ramp = max_speed / acceleration;
     let end = way / max_speed + ramp;
@@ -121,7 +119,7 @@ fn position_profile() {
     master.ask(MOTOR, go_to(WAY_DEG as f32, MAX_SPEED_DPS as u16)).unwrap();
 
     let friction = &drive.with(|drive| drive.plant().parameters().clone()).friction;
-    // Cruising, the current only overcomes friction: its torque over 2.1 N·m/A (the data sheet's).
+    // While cruising the current only overcomes friction: its torque over the data sheet's 2.1 N·m/A.
     let cruising_a =
         (friction.coulomb_nm + friction.viscous_nm_s_per_rad * MAX_SPEED_DPS.to_radians()) / 2.1;
     let mut table =
@@ -173,7 +171,7 @@ fn position_profile() {
 fn communication_loss() {
     const PROTECTION: Duration = millis(100);
     const TICK: Duration = millis(20);
-    /// In which ticks the master sends a speed command: a stream, silence, one alone, a stream.
+    /// The ticks in which the master sends a speed command: a stream, silence, a single one, a stream.
     const SPEAKS: [std::ops::Range<u32>; 3] = [0..10, 20..21, 30..40];
 
     let fleet = one_drive(true);
@@ -198,9 +196,9 @@ fn communication_loss() {
         let state = state_at(drive, master.now());
         let speed_dps = state.measurement.speed_dps;
         match tick {
-            // 90 deg/s are there at once, at the factory's 10000 deg/s².
+            // At the factory's 10000 deg/s² the 90 deg/s are reached at once.
             5..10 | 36..40 => assert!((speed_dps - 90.0).abs() < 9.0, "tick {tick}: {speed_dps}"),
-            // The brake holds 25 N·m; one command alone is not steady communication.
+            // The brake holds 25 N·m. A single command is not steady communication.
             15..30 => assert_eq!((speed_dps, state.output_on), (0.0, false), "tick {tick}"),
             // A first command does not run yet.
             30 => assert!(!state.output_on),
@@ -239,8 +237,8 @@ fn communication_loss() {
 
 // ---- stall ----
 
-/// 8.2: stall is "the current has reached the stall current, the speed is low, and that lasts"; level
-/// one, of which 8.1 says that "the motor cannot recover; find the cause and restart it".
+/// 8.2: stall is "the current has reached the stall current, the speed is low, and that lasts". It is of level one, of
+/// which 8.1 says that "the motor cannot recover; find the cause and restart it".
 #[test]
 fn stall() {
     const STOP: EndStop = EndStop { at_deg: 30.0, stiffness_nm_per_rad: 1_500.0, restitution: 1.0 };
@@ -293,7 +291,7 @@ fn stall() {
                 "0x76"
             }
             40 => {
-                // By hand: the master leaves a motor alone for 2 s after 0x76.
+                // A new master, because the old one leaves a motor alone for 2 s after 0x76.
                 master = fleet.master::<1>();
                 assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
                 master.ask(MOTOR, go_to(0.0, 100)).unwrap();
@@ -304,20 +302,19 @@ fn stall() {
         let state = state_at(drive, master.now());
         let current_a = state.measurement.current_a;
         match row {
-            // Against the stop the torque is the limit, and no stall: the current is far from the
-            // stall current.
+            // Against the stop the torque is limited. The current is far from the stall current, so it is no stall.
             8..=19 => {
                 assert!((current_a - RATED_A).abs() < 0.1, "row {row}: {current_a}");
                 assert_eq!(state.errors, ErrorFlags::empty());
-                // The motor's torque bends the spring, give or take what friction and gear hold.
+                // The motor's torque presses the stop in, give or take what friction and gear hold.
                 let angle_deg = drive.with(|drive| drive.plant().output_angle_deg());
                 let bent_nm = STOP.stiffness_nm_per_rad * (angle_deg - STOP.at_deg).to_radians();
                 let off_nm = (bent_nm - motor_nm).abs();
                 assert!(off_nm <= held_nm, "row {row}: {bent_nm} N·m, expected {motor_nm}");
             }
-            // Without the limit it is the stall current.
+            // Without the limit the current is the stall current.
             24..=28 => assert!((current_a - STALL_A).abs() < 0.5, "row {row}: {current_a}"),
-            // It has lasted, and stays so whatever is said until 0x76.
+            // It has lasted, so it is a stall. The error stays until 0x76, whatever is commanded.
             34..=37 => {
                 assert_eq!(state.errors, ErrorFlags::STALL, "row {row}");
                 assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "row {row}");
@@ -352,7 +349,7 @@ fn stall() {
 
 // ---- bus traces ----
 
-/// What the tour of [`exchanges`] sends to which motor, from the manual's examples where it has one.
+/// The commands that [`exchanges`] sends, and to which motor. They are examples of the manual where it has one.
 const COMMANDS: [(u8, Data); 6] = [
     (1, [0x9A, 0, 0, 0, 0, 0, 0, 0]),             // 2.14.4
     (2, [0x92, 0, 0, 0, 0, 0, 0, 0]),             // 2.12.4
@@ -376,8 +373,8 @@ fn exchanges<R: Runner<8, Error: Debug>>(master: &mut R) {
     assert!(master.master().motors() == MotorSet::from_iter([one, two]));
 }
 
-/// All that is on the bus during [`exchanges`], a frame a line with the time when it is over, after how
-/// long each frame takes was checked, and what it says. A drive takes 0.7 to 0.9 ms to begin a reply.
+/// Everything on the bus during [`exchanges`]: one line per frame, with the time at which it ends. Checks first how long
+/// each frame takes and what it contains. A drive begins a reply after 0.7 to 0.9 ms.
 fn trace<W: Wire>(
     frame_ns: fn(&W::Frame) -> u64,
     reply_begins_late_ns: u64,
@@ -387,7 +384,7 @@ fn trace<W: Wire>(
     let log = bus.world.log();
     exchanges(&mut master(&bus));
     let mut records = log.take();
-    // Before the angle of motor 2 the loop reads its status, to see that the line has no echo.
+    // Before it asks motor 2 for its angle, the loop reads its status to see that the line has no echo.
     let shows_echo = |packet: Packet| {
         let two = matches!(packet.channel, Channel::Command(Target::Motor(it)) | Channel::Reply(it) if it == id(2));
         two && packet.data[0] == 0x9A
@@ -432,7 +429,7 @@ fn trace<W: Wire>(
 
 #[test]
 fn trace_of_a_can_bus() {
-    // A bit takes 1000 ns; the three of the intermission do not belong to the frame.
+    // A bit takes 1000 ns. The three bits of intermission do not belong to the frame.
     let frame_ns = |frame: &SimpleFrame| (u64::from(frame_bits(frame)) - 3) * 1_000;
     let lines = trace::<CanBus>(frame_ns, 0, |stamp, frame| {
         let line = format!("{stamp} can0 {}", text::can::frame(frame));
@@ -450,7 +447,7 @@ fn trace_of_a_can_bus() {
 
 #[test]
 fn trace_of_an_rs485_line() {
-    // 13 bytes of 10 bits. The drive's transceiver takes time to turn round.
+    // 13 bytes of 10 bits. The drive's transceiver takes time to switch direction.
     let lines = trace::<Rs485Line>(
         |_| 130_000,
         100_000,
