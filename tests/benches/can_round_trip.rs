@@ -1,6 +1,6 @@
-//! A round trip over a CAN interface of Linux, one motor, one at a time: what a master's `ask` takes,
-//! against one `write` and one blocking `read` of a bare socket, in turns on the same interface. The
-//! drive is a process that answers at once.
+//! A round trip over a CAN interface of Linux, one motor, one at a time. Compares the time of a master's `ask` with
+//! that of one `write` and one blocking `read` of a bare socket, in turns on the same interface. The drive is a process
+//! that answers at once.
 //!
 //! ```sh
 //! can_round_trip vcan0            # the comparison
@@ -20,9 +20,9 @@ use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use socketcan::{CanFrame, CanSocket, Socket as _};
 
-/// A master's time over the bare pair's.
+/// The largest ratio of the master's time to that of the bare socket.
 const LIMIT: f64 = 1.1;
-/// Round trips of one kind before it is the other's turn.
+/// Round trips of one kind before the other kind's turn.
 const BLOCK: u32 = 500;
 const BLOCKS: usize = 15;
 /// Manual 2.12: command and reply of 0x92, at 0 degrees.
@@ -53,7 +53,7 @@ impl Drive {
         let program = env::current_exe().expect("this program");
         let drive = Command::new(program).args([interface, "drive"]).spawn().expect("a process");
         let drive = Self(drive);
-        // It is there when it answers.
+        // Wait until it answers.
         let socket = CanSocket::open(interface).expect("a CAN interface");
         socket.set_read_timeout(std::time::Duration::from_millis(50)).expect("a time-out");
         let command = CanFrame::new(COMMAND, &READ_ANGLE).expect("a frame");
@@ -100,7 +100,7 @@ fn bare(interface: &str, count: u32) -> f64 {
 
 fn ask(interface: &str, count: u32) -> f64 {
     let address = BusAddress::SocketCan { interface: interface.to_owned() };
-    // No wire, and a drive that answers at once.
+    // There is no wire, and the drive answers at once.
     let config = Config { shortest_response: Duration::ZERO, ..address.config() };
     let mut master = AnyMaster::<1>::open_with(&address, config).expect("a CAN interface");
     timed(count, || {

@@ -1,10 +1,12 @@
-//! What it costs to serve simulated drives in real time, and how true their answers' times are:
-//! `cargo bench -p myactuator-tests --features serving --bench serving`. A machine that does something else may
-//! spoil a measurement, so up to three are made.
+//! The cost of serving simulated drives in real time, and the accuracy of their response times:
+//! `cargo bench -p myactuator-tests --features serving --bench serving`. Other work of the machine may spoil a
+//! measurement, so up to three are made.
 //!
-//! 64 drives, 32 on CAN and 32 on RS485, at first with nobody who asks: the server's processor time. Then a
-//! program asks a motor at each bus over its pseudo-terminal, one exchange after the other: from the command's
-//! last byte to the reply's, against what the same exchange takes under virtual time.
+//! 64 drives, 32 on CAN and 32 on RS485:
+//!
+//! - While nobody asks: the server's processor time.
+//! - Then a program asks a motor on each bus over its pseudo-terminal, one exchange after the other: the time from the
+//!   command's last byte to the reply's, compared with the same exchange under virtual time.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -31,9 +33,9 @@ use rustix::time::{ClockId, clock_gettime};
 const RESPONSE: Duration = Duration::from_micros(800);
 const IDLE: WallDuration = WallDuration::from_secs(5);
 const EXCHANGES: usize = 1_000;
-/// What the server may take of a core while nobody asks.
+/// The largest share of a core that the server may take while nobody asks.
 const MOST_IDLE: f64 = 0.10;
-/// How much the median of the times may be off, either way.
+/// The largest error of the median time, either way.
 const MOST_OFF_US: i64 = 100;
 const MEASUREMENTS: usize = 3;
 
@@ -59,7 +61,7 @@ fn is_good() -> bool {
 
     let before = processor_time();
     thread::sleep(IDLE);
-    // Whoever waits here takes next to nothing.
+    // The waiting threads of this program take next to nothing.
     let share = (processor_time() - before).as_secs_f64() / IDLE.as_secs_f64();
     println!(
         "64 idle drives take {:.1} % of a core (at most {:.0} %)",
@@ -73,7 +75,7 @@ fn is_good() -> bool {
     let mut adapter = open(&slcan);
     adapter.write_all(b"S8\rO\r").expect("an adapter");
     adapter.read_exact(&mut [0; 2]).expect("an adapter that answers");
-    // `z\r` for the command, and a line of 22 bytes.
+    // The reply is `z\r` for the command, and a line of 22 bytes.
     let on_can = median(&slcan, b"t14189200000000000000\r", 24, exact_on_can(&ask));
     drop(stop);
     server.join().expect("it ends");
@@ -92,7 +94,7 @@ fn fleet() -> Fleet {
     Fleet::new(32).response(RESPONSE, RESPONSE)
 }
 
-/// What an exchange takes on RS485 and in the drive.
+/// The time of an exchange on RS485, with the drive's response.
 fn exact_on_line(command: &[u8]) -> WallDuration {
     let line = fleet().on_rs485(1_000_000).expect("drives");
     let mut port = line.world.port();
@@ -109,7 +111,7 @@ fn exact_on_line(command: &[u8]) -> WallDuration {
     WallDuration::from_micros(line.world.now().as_micros())
 }
 
-/// What an exchange takes on CAN and in the drive.
+/// The time of an exchange on CAN, with the drive's response.
 fn exact_on_can(ask: &Packet) -> WallDuration {
     let can = fleet().on_can(1_000_000).expect("drives");
     let mut port = can.world.port();

@@ -1,14 +1,13 @@
-//! How much faster than time itself a full bus of simulated drives runs.
+//! How much faster than real time a full bus of simulated drives runs.
 //!
-//! 32 drives with their whole physics, each with an arm on its shaft, are on one bus, and a master gives
-//! each its next set-point as soon as it has answered the last. Run it with
+//! 32 drives with their whole physics, each with an arm on its shaft, are on one bus. A master gives each its next
+//! set-point as soon as it has answered the last. Run it with
 //!
 //! ```text
 //! cargo bench -p myactuator-tests --bench sim_speed
 //! ```
 //!
-//! It fails if a simulated second on CAN takes longer than [`LIMIT`] on one core. RS485 has no limit:
-//! its figure is there to be looked at.
+//! It fails if a simulated second on CAN takes longer than [`LIMIT`] on one core. The figure of RS485 has no limit.
 
 use std::time::{Duration as WallDuration, Instant as WallInstant};
 
@@ -25,17 +24,16 @@ const MOTORS: u8 = MotorId::COUNT as u8;
 const BIT_RATE: u32 = 1_000_000;
 const SIMULATED: Duration = Duration::from_secs(1);
 
-/// What a simulated second may take.
+/// The longest time that a simulated second may take.
 const LIMIT: WallDuration = WallDuration::from_millis(200);
 
-/// How often a run is timed. Whatever else the machine does makes a run longer, never shorter, so the
-/// shortest counts.
+/// How often a run is timed. Other work of the machine makes a run longer, never shorter, so the shortest counts.
 const ATTEMPTS: usize = 5;
 
-/// A set-point for the motor at this time: a swing of ±0.5 rad, a second long.
+/// Gives the motor its set-point for this time: a swing of ±0.5 rad with a period of one second.
 type GiveSetPoint<R> = fn(&mut R, MotorId, seconds: f32);
 
-/// In motion mode, the mode that asks the most of a drive and of the master.
+/// In motion mode, which demands the most of a drive and of the master.
 fn by_motion<R: Runner<32>>(master: &mut R, motor: MotorId, seconds: f32) {
     let (sin, cos) = (std::f32::consts::TAU * seconds).sin_cos();
     let set_point = MotionSetPoint {
@@ -57,7 +55,7 @@ fn by_position<R: Runner<32>>(master: &mut R, motor: MotorId, seconds: f32) {
     master.set_point(motor, AbsolutePosition { max_speed, angle }).expect("a place for each motor");
 }
 
-/// Streams for [`SIMULATED`] and gives the number of answers.
+/// Streams for [`SIMULATED`] and returns the number of answers.
 fn stream<R: Runner<32>>(master: &mut R, give: GiveSetPoint<R>) -> u32 {
     let start = master.now();
     let end = start + SIMULATED;
@@ -79,7 +77,7 @@ fn stream<R: Runner<32>>(master: &mut R, give: GiveSetPoint<R>) -> u32 {
     answers
 }
 
-/// Drives of the largest model, whose arms of half a metre weigh half of what the motors can hold.
+/// Drives with arms of half a metre. The weight of an arm needs half of the rated torque.
 fn fleet() -> Fleet {
     let model = MotorParameters::named("RMD-X8-P20-120").expect("a model of the library");
     let mass_kg = 0.5 * model.rating.torque_nm / (9.81 * 0.5);
@@ -97,7 +95,7 @@ fn second_on_rs485() -> u32 {
     stream(&mut fleet.master::<32>(), by_position)
 }
 
-/// The shortest of some runs, and the answers in one, which are the same in each.
+/// The shortest time of [`ATTEMPTS`] runs, and the answers in one run, which are the same in each.
 fn timed(second: fn() -> u32) -> (WallDuration, u32) {
     let runs = (0..ATTEMPTS).map(|_| {
         let start = WallInstant::now();
@@ -117,7 +115,7 @@ fn report(bus: &str, (took, answers): (WallDuration, u32)) {
 }
 
 fn main() {
-    // Only as a benchmark: a build for debugging may take its time.
+    // Only as a benchmark: a debug build may be slow.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }

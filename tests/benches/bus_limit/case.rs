@@ -1,5 +1,4 @@
-//! Controllers of other kinds, a host that looks now and then, and loss: the mean of the motors and
-//! the slowest of them.
+//! Controllers of other kinds, a host that looks now and then, and loss: the mean of all motors and the slowest motor.
 
 use myactuator_host_std::sim::bus::can::{ControllerConfig, QueueOrder};
 use myactuator_protocol_core::command::ReadStatus2;
@@ -22,7 +21,7 @@ enum Controller {
     Fifo,
     /// Three mailboxes that send in the order in which they were filled.
     InOrder,
-    /// Three mailboxes that send by priority, and push a frame out for a more urgent one.
+    /// Three mailboxes that send by priority. A more urgent frame pushes another out.
     ByPriority,
 }
 
@@ -52,20 +51,20 @@ enum Looking {
     NowAndThen,
 }
 
-/// One line of the table, with what the mean of the motors and the slowest may take, in bounds.
+/// One line of the table, with the largest ratios to the bound: of the mean of the motors and of the slowest.
 struct Case(Kind, Controller, Looking, f32, [f64; 2]);
 
-/// The budget is [`LIMIT`] for all. What does not keep it today has a ceiling where it is:
+/// The budget is [`LIMIT`] for all. A case that does not keep it today has a ceiling at its present figure:
 ///
-/// - A host that looks now and then: no motor gets more than two rounds ahead of one that may be waiting to
-///   answer, so that sooner or later all wait for the last reply and for the look that finds it. The more
-///   commands a look may queue, the longer replies wait behind them: a FIFO of ten is slower than three mailboxes.
-/// - Mailboxes by priority with such a host: after a short pause frames of the last look still wait, and commands
-///   with lower ids would push them out. So fewer go then, where the wire may be free sooner; and as all
-///   commands of a look go in the order of the ids, the last motor of three is slower by itself.
-/// - A set-point whose feedback is lost: the others stand still when they are two rounds ahead, until the bus was
-///   quiet; and the motor itself waits for `Config::longest_response`, or three of its usual round trips.
-/// - A request that is lost: see the module.
+/// - A host that looks now and then: no motor gets more than two rounds ahead of one whose answer may be pending. So
+///   sooner or later all motors wait for the last reply and for the look that finds it. The more commands a look may
+///   queue, the longer replies wait for them: a FIFO of ten is slower than three mailboxes.
+/// - Mailboxes by priority with such a host: after a short pause frames of the last look are still pending, and
+///   commands with lower ids would push them out. So fewer commands go then, although the wire may be free sooner. All
+///   commands of a look go in the order of the ids, so the last motor of three is slower anyway.
+/// - A set-point whose feedback is lost: the other motors stop when they are two rounds ahead, until the bus was quiet.
+///   The motor itself waits for `Config::longest_response`, or three of its usual round trips.
+/// - A request that is lost: see the crate's documentation.
 const CASES: [Case; 20] = {
     use Controller::{ByPriority, Fifo, InOrder};
     use Kind::{Feedback, Motion};
@@ -95,7 +94,7 @@ const CASES: [Case; 20] = {
     ]
 };
 
-/// Cycle times in bounds.
+/// Ratios of the cycle time to its bound.
 struct Ratios {
     mean: f64,
     slowest: f64,
@@ -118,7 +117,7 @@ impl Case {
         let mut bus = CanMaster::<_, _, 32>::new(port, host, Config::CAN);
         let mut order = motors.clone();
         if matches!(self.1, Controller::ByPriority) {
-            // By rising urgency, so that frames are handed back, as they are sooner or later in any program.
+            // By rising urgency, so that mailboxes push frames out, which happens sooner or later in any program.
             order.reverse();
         }
         for motor in order {
@@ -146,11 +145,11 @@ impl Case {
         Ratios { mean: cycles_s / bounds_s, slowest }
     }
 
-    /// The bound of a cycle in which nothing is lost.
+    /// The bound of a cycle without loss.
     fn bound_s(&self, seen: &Seen, looks: &[Instant], responses: &[u64], motors: usize) -> f64 {
         let frame_s = seen.frames_ns.iter().sum::<u64>() as f64 / 1e9 / seen.frames_ns.len() as f64;
         let wire_s = 2.0 * frame_s * motors as f64;
-        // Nobody waits for the pause after a frame but the next frame.
+        // Only the next frame waits for the intermission.
         let frames_s = 2.0 * (frame_s - INTERMISSION_S);
         match self.2 {
             Looking::AtOnce => {
@@ -163,7 +162,7 @@ impl Case {
         }
     }
 
-    /// Cycle time of a master without rules where nothing is lost.
+    /// Cycle time of a master without rules, without loss.
     fn reference_s(&self, motors: u8) -> f64 {
         let surroundings = Surroundings { loss: 0.0, ..self.surroundings() };
         let Stage { motors, mut port, host, .. } = Stage::new(surroundings, motors);
@@ -179,8 +178,8 @@ impl Case {
     }
 }
 
-/// Mean time from a look to the first one that finds the reply to a command which the former gave, with
-/// two frames that take so long: over all looks, and evenly over all responses.
+/// Mean time from a look that sends a command to the first look that finds the reply, if both frames together take
+/// `frames_s`: over all looks, and evenly over all responses.
 fn turn_s(looks: &[Instant], frames_s: f64) -> f64 {
     let (mut sum_us, mut count) = (0, 0);
     for response in (RESPONSE_MIN.as_micros()..=RESPONSE_MAX.as_micros()).step_by(20) {
@@ -196,8 +195,8 @@ fn turn_s(looks: &[Instant], frames_s: f64) -> f64 {
     sum_us as f64 / 1e6 / f64::from(count)
 }
 
-/// Runs until `until`; each answer leads to the next command, and so does its failing to come. Gives when
-/// each motor answered.
+/// Runs until `until`. Each answer, and each answer that fails to come, leads to the next command. Returns when each
+/// motor answered.
 fn run<R: Runner<32>>(bus: &mut R, kind: Kind, until: Instant) -> Vec<Vec<Instant>> {
     let mut answers = vec![Vec::new(); MotorId::COUNT];
     while bus.now() < until {
@@ -226,7 +225,7 @@ fn run<R: Runner<32>>(bus: &mut R, kind: Kind, until: Instant) -> Vec<Vec<Instan
     answers
 }
 
-/// Prints what is the worst over 1 to 32 motors. Whether all is within its ceiling.
+/// Prints the worst ratios over 1 to 32 motors. Returns whether all are within their ceilings.
 pub(crate) fn table() -> bool {
     println!("\nCAN at 1000 kbit/s: the worst ratios over 1 to 32 motors, budget {LIMIT}");
     println!(

@@ -1,4 +1,4 @@
-//! A drive without a motor: it answers in time, and costs next to nothing to simulate.
+//! A drive without a motor: it only answers, and costs next to nothing to simulate.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -11,10 +11,10 @@ use myactuator_tests::dice::Dice;
 
 use crate::{RESPONSE_MAX, RESPONSE_MIN};
 
-/// All responses that were drawn, in microseconds.
+/// All response times that were drawn, in microseconds.
 pub(crate) type Responses = Arc<Mutex<Vec<u64>>>;
 
-/// Answers every command after a time between the shortest and the longest response.
+/// Answers every command after a random time between the shortest and the longest response.
 pub(crate) struct Answering {
     motor: MotorId,
     dice: Dice,
@@ -32,7 +32,7 @@ impl Answering {
 impl Node<SimpleFrame> for Answering {
     fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
         let can::Received::Packet(command) = can::decode(frame) else { return };
-        // Whatever is measured, so that frames are as long as they are on average.
+        // Random values, so that frames have their average length.
         let mut data = std::array::from_fn(|_| self.dice.byte());
         let channel = match command.channel {
             Channel::Command(Target::Motor(motor)) if motor == self.motor => {
@@ -40,7 +40,7 @@ impl Node<SimpleFrame> for Answering {
                 Channel::Reply(motor)
             }
             Channel::Motion(motor) if motor == self.motor => {
-                // Positions that jump would be those of restarts.
+                // Positions that jump would look like restarts.
                 (data[0], data[1]) = (motor.get(), 0x80);
                 Channel::MotionReply(motor)
             }

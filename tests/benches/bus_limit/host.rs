@@ -1,4 +1,4 @@
-//! When the host looks at its bus.
+//! The host's clock, which decides when it looks at its bus.
 
 use std::cell::RefCell;
 use std::sync::{Arc, Mutex};
@@ -9,15 +9,14 @@ use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::dice::Dice;
 
-/// When the host has looked.
+/// The times at which the host looked.
 pub(crate) type Looks = Arc<Mutex<Vec<Instant>>>;
 
 /// A host's clock.
 pub(crate) enum Host {
     /// It wakes up as soon as something arrives.
     AtOnce(SimClock<CanBus>),
-    /// It looks when others let it, whatever has arrived: from one look to the next it is any time up
-    /// to the longest.
+    /// It looks after random pauses of up to `longest`, whatever has arrived.
     Looking { world: CanWorld, longest: Duration, dice: RefCell<Dice>, looks: Looks },
 }
 

@@ -1,51 +1,54 @@
-//! How near the master comes to what the bus and the drives allow: `cargo bench -p myactuator-tests
-//! --bench bus_limit`.
+//! How close the master comes to the limit of the bus and the drives:
+//! `cargo bench -p myactuator-tests --bench bus_limit`.
 //!
-//! Everything runs under the virtual clock against whole simulated drives that answer after 0.7 to
-//! 0.9 ms, so the figures are the same on every machine and every run.
+//! Everything runs under the virtual clock against simulated drives that answer after 0.7 to 0.9 ms, so the figures are
+//! the same on every machine and in every run.
 //!
 //! # What is measured
-//! A *cycle* is one command to each of N motors and its reply. In a feedback cycle the command is
-//! 0x9C, in a motion mode cycle a set-point at 0x400 + id. Each motor gets its next command as soon as
-//! it has answered the last; the cycle time is the mean time from one answer of a motor to its next,
-//! over all motors.
+//! A *cycle* is one command to each of N motors and its reply. In a feedback cycle the command is 0x9C, in a motion
+//! mode cycle a set-point at 0x400 + id. Each motor gets its next command as soon as it has answered the last. The
+//! cycle time is the mean time from one answer of a motor to its next, over all motors.
 //!
 //! # The bound
 //! No master can be faster than both of these:
 //!
-//! - *The wire.* It carries one frame at a time, so a cycle takes at least the sum of all its frames:
-//!   on CAN their bits, stuffing and the three bits of intermission included, as they really were on
-//!   the wire; on RS485 13 bytes of ten bits each.
-//! - *The drive.* A motor's next command follows its reply, so a cycle takes at least one command, the
-//!   drive's response and one reply. The responses are those that were drawn: what the trace shows
-//!   from the end of a command to the drive's readiness to reply cannot be seen on a busy bus, so
-//!   their mean of 0.8 ms is taken, less three standard errors of that mean.
+//! - *The wire.* It carries one frame at a time, so a cycle takes at least the sum of all its frames. On CAN these are
+//!   the bits that were really on the wire, including stuffing and the three bits of intermission. On RS485 they are 13
+//!   bytes of ten bits each.
+//! - *The drive.* A motor's next command follows its reply, so a cycle takes at least one command, the drive's response
+//!   and one reply. On a busy bus the trace does not show when a drive is ready to reply. So the mean response of 0.8
+//!   ms is taken, less three standard errors of that mean.
 //!
 //! On CAN the bound is the larger of the two. On RS485 the line carries one exchange at a time, so it
 //! is N times command, response, reply and the pause that lets the drives turn around.
 //!
 //! # Other controllers, other hosts, and loss
-//! The last table is measured with light drives that only answer, for the mean of the motors and for the
-//! slowest of them. The controllers: a FIFO of ten frames; three mailboxes that send in the order in which
-//! they were filled, as the boards of `mcu-example` have them; three mailboxes that send by priority and
-//! push a frame out for a more urgent one. The hosts: one that looks at once, and one that looks whatever
-//! has come, with 0 to 1 ms from one look to the next. Its bound is the largest of three:
+//! The last table is measured with light drives that only answer, for the mean of all motors and for the slowest motor.
 //!
-//! - The wire, as above. Mailboxes do not lower it: three frames at each look, every 0.5 ms on average, are
-//!   more than the wire carries.
-//! - A turn. What a look sends is answered after two frames and the response, and that is seen by the first
-//!   look from then on: the mean of that over all looks that there were. (Uniform pauses D up to 1 ms make
-//!   a reply wait for E[D²] / 2E[D] = 1/3 ms on average.)
-//! - Both together. All motors whose replies one look finds get their commands at once, so these queue up on
-//!   a wire that was idle before. What that costs has no formula; so a master without any rule is run against
-//!   the same looks, which gives each motor its next command as soon as there is room for it. It is fair to
-//!   nobody, so only its throughput counts. With 3 to 8 motors it is up to a fifth above the other two.
+//! The controllers:
 //!
-//! Loss: each frame is lost with a probability of 1 % and has used the wire for nothing. One lost frame may
-//! cost its own exchange and no more: a motor with so many answers and so many lost frames has had the time
-//! of both. A stream of set-points is to reach that; a request that is repeated waits for
-//! `Config::reply_timeout`, and keeps the next of its kind back for `Config::late_window` so that no answer
-//! goes to the wrong question, so it cannot: its ceilings are there to be kept.
+//! - a FIFO of ten frames;
+//! - three mailboxes that send in the order in which they were filled, like those of the boards of `mcu-example`;
+//! - three mailboxes that send by priority, in which a more urgent frame pushes another out.
+//!
+//! The hosts: one looks at once. The other looks after pauses of 0 to 1 ms, whatever has arrived. Its bound is the
+//! largest of three:
+//!
+//! - The wire, as above. Mailboxes do not lower it: three frames at each look, every 0.5 ms on average, are more than
+//!   the wire carries.
+//! - A turn. The command of a look is answered after two frames and the response, and the first look after that finds
+//!   the answer. The bound is the mean of this time over all looks. (Uniform pauses D up to 1 ms make a reply wait for
+//!   E[D²] / 2E[D] = 1/3 ms on average.)
+//! - Both together. All motors whose replies one look finds get their commands at once, and these queue up on a wire
+//!   that was idle before. That cost has no formula. So a master without any rule runs against the same looks and gives
+//!   each motor its next command as soon as there is room for it. It is not fair, so only its throughput counts. With 3
+//!   to 8 motors this bound is up to a fifth above the other two.
+//!
+//! Loss: each frame is lost with a probability of 1 % and has used the wire in vain. A lost frame may cost its own
+//! exchange and no more, so the bound of a motor is the time of its answers plus that of its lost frames. A stream of
+//! set-points should reach that bound. A repeated request cannot: it waits for `Config::reply_timeout`, and keeps the
+//! next request of its kind back for `Config::late_window`, so that no answer goes to the wrong request. It has
+//! ceilings instead.
 //!
 //! # One at a time
 //! The one-at-a-time master asks a motor, waits for its reply and goes on to the next.
@@ -71,10 +74,10 @@ use myactuator_protocol_core::time::{Duration, Instant};
 
 const RESPONSE_MIN: Duration = Duration::from_micros(700);
 const RESPONSE_MAX: Duration = Duration::from_micros(900);
-/// Simulated time of one measurement, after as much for settling as [`SETTLE`] says.
+/// Simulated time of one measurement, after [`SETTLE`].
 const SPAN: Duration = Duration::from_millis(1_000);
 const SETTLE: Duration = Duration::from_millis(50);
-/// What the worst ratio may be.
+/// The largest allowed ratio.
 const LIMIT: f64 = 1.05;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -92,7 +95,7 @@ impl Kind {
     }
 }
 
-/// How long each frame takes of the wire, in nanoseconds, with `pause_ns` after it.
+/// How long each frame occupies the wire, in nanoseconds, including `pause_ns` after it.
 fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<Vec<u64>>> {
     let frames = Arc::new(Mutex::new(Vec::new()));
     let noted = Arc::clone(&frames);
@@ -116,7 +119,7 @@ fn swing(motor: MotorId, now: Instant) -> RawMotion {
     MotionRanges::V4_3.quantise(&set_point).expect("in range")
 }
 
-/// Lets every motor swing gently, or asks it how it does.
+/// Lets the motor swing gently, or asks it for its feedback.
 fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
     match kind {
         Kind::Feedback => {
@@ -141,7 +144,7 @@ fn answering(event: &Event) -> Option<MotorId> {
     }
 }
 
-/// Runs until `until`; each answer leads to the next command. Tells when each motor answered.
+/// Runs until `until`. Each answer leads to the next command. Returns when each motor answered.
 fn run<R: Runner<32>>(
     bus: &mut R,
     kind: Kind,
@@ -256,7 +259,7 @@ fn on_rs485(bit_rate: u32, motors: u8) -> Row {
     Row { cycle_s: all.cycle_s, bound_s, one_at_a_time_s: run(true).cycle_s }
 }
 
-/// What comes of 1 to 32 motors, in this order, worked out on all processors.
+/// The results for 1 to 32 motors, in this order, worked out on all processors.
 fn for_each_count<T: Send>(of: impl Fn(u8) -> T + Sync) -> impl Iterator<Item = (u8, T)> {
     let waiting = Mutex::new(1..=MotorId::COUNT as u8);
     let next = || waiting.lock().unwrap().next();
@@ -275,7 +278,7 @@ fn for_each_count<T: Send>(of: impl Fn(u8) -> T + Sync) -> impl Iterator<Item = 
     done.into_inner().unwrap().into_iter()
 }
 
-/// Prints one table and gives its worst ratio.
+/// Prints one table and returns its worst ratio.
 fn table(title: &str, row: impl Fn(u8) -> Row + Sync) -> f64 {
     println!("\n{title}\n  motors   cycle ms   bound ms   ratio   one at a time ms   gain");
     let mut worst = 0.0_f64;

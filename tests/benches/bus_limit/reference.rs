@@ -1,4 +1,4 @@
-//! A master without rules, to see what can be reached at all.
+//! A master without rules, to find out what can be reached at all.
 
 use std::collections::VecDeque;
 
@@ -8,7 +8,7 @@ use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::wire::can;
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
-/// Which motor a command is for, or a reply from.
+/// The motor that a command is for, or a reply is from.
 pub(crate) fn motor_of(frame: &impl embedded_can::Frame) -> Option<MotorId> {
     let can::Received::Packet(Packet { channel, .. }) = can::decode(frame) else { return None };
     match channel {
@@ -18,9 +18,9 @@ pub(crate) fn motor_of(frame: &impl embedded_can::Frame) -> Option<MotorId> {
     }
 }
 
-/// Sends each of `ready`, and then each motor that has answered, its next command as soon as the
-/// controller has room for it, in the order of the answers, whoever else waits for his. Gives how many
-/// answers came from `start` on until `end`.
+/// Sends each motor of `ready`, and then each motor that has answered, its next command as soon as the controller has
+/// room for it. Commands go in the order of the answers, regardless of pending replies. Returns the number of answers
+/// from `start` until `end`.
 pub(crate) fn answers<C: Can>(
     can: &mut C,
     clock: &impl Clock,

@@ -1,4 +1,4 @@
-//! A bus with drives, and what really happens on it.
+//! A bus with drives, and a record of what really happens on it.
 
 use std::cell::RefCell;
 use std::sync::{Arc, Mutex};
@@ -19,11 +19,11 @@ pub(crate) const BIT_RATE: u32 = 1_000_000;
 pub(crate) const INTERMISSION_S: f64 = 3.0 / BIT_RATE as f64;
 const SEED: u64 = 1;
 
-/// What a master stands before.
+/// The conditions under which a master works.
 #[derive(Clone, Copy)]
 pub(crate) struct Surroundings {
     pub(crate) controller: ControllerConfig,
-    /// How long the host pauses at the most between two looks; `None` if it looks at once.
+    /// The longest pause of the host between two looks; `None` if it looks at once.
     pub(crate) longest_pause: Option<Duration>,
     /// The share of all frames that is lost on the way.
     pub(crate) loss: f32,
@@ -32,7 +32,7 @@ pub(crate) struct Surroundings {
 /// What happened on the bus.
 #[derive(Default)]
 pub(crate) struct Seen {
-    /// How long each frame kept the wire, in nanoseconds.
+    /// How long each frame occupied the wire, in nanoseconds.
     pub(crate) frames_ns: Vec<u64>,
     /// How many frames to and from each motor were lost.
     pub(crate) lost: [u32; MotorId::COUNT],
@@ -83,7 +83,7 @@ impl Stage {
     }
 }
 
-/// Notes what happens between the master and the motors, whose places on the bus are their indices.
+/// Notes what happens between the master and the motors. A motor's index is its place on the bus.
 fn watch(world: &CanWorld, port: &CanPort) -> Arc<Mutex<Seen>> {
     let seen = Arc::new(Mutex::new(Seen::default()));
     let (noted, master) = (Arc::clone(&seen), port.station());
@@ -98,7 +98,7 @@ fn watch(world: &CanWorld, port: &CanPort) -> Arc<Mutex<Seen>> {
         }
         trace::Event::Faulted { from, fault: trace::Fault::Lost } => {
             let heard = record.station.index();
-            // What is for others need not be heard.
+            // A frame for another motor need not be heard.
             if record.station == master {
                 noted.lock().unwrap().lost[from.index()] += 1;
             } else if from == master && asked == Some(heard) {
