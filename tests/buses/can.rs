@@ -219,8 +219,8 @@ fn silence_makes_error_passive_and_nothing_worse() {
     let mut port = world.port();
     send(&mut port, smooth());
     let status = || world.controller(port.station());
-    // An attempt takes 117 bits: 100 up to the acknowledge slot, then an error frame of 6 + 8 and an intermission
-    // of 3. The last eleven bits of the frame do not come.
+    // An attempt takes 117 bits: 100 up to the acknowledge slot, then an error frame of 6 + 8 and an intermission of 3.
+    // The last eleven bits of the frame do not come.
     for attempt in 0..16 {
         world.run_until(micros(attempt * 117 + 99));
         assert_eq!(u64::from(status().transmit_errors), attempt * 8);
@@ -479,8 +479,8 @@ fn a_world_too_slow_for_real_time_goes_on_slowly() {
     let begun = std::time::Instant::now();
     world.every(Duration::from_micros(1), move |_| {
         std::thread::sleep(std::time::Duration::from_micros(20));
-        // Each call makes up for at most half a second. Without that limit each would take twenty times as long as
-        // the one before, and the last one minutes.
+        // Each call makes up for at most half a second. Without that limit each would take twenty times as long as the
+        // one before, and the last one minutes.
         assert!(begun.elapsed().as_secs() < 60, "it is held up");
     });
     let times = [(); 6].map(|()| world.now());

@@ -203,8 +203,8 @@ fn misread(sent: &[u8], sent_at: u32, read_at: u32) -> Vec<u8> {
 
 #[test]
 fn a_receiver_at_another_rate_reads_what_it_samples() {
-    // 0x0F is 0 11110000 1 on the line, and sampled at twice the rate 00 11111111 00000000 11: 0 01111111 1,
-    // then 0 00000001 1, lowest bit first.
+    // 0x0F is 0 11110000 1 on the line, and sampled at twice the rate 00 11111111 00000000 11: 0 01111111 1, then 0
+    // 00000001 1, lowest bit first.
     assert_eq!(misread(&[0x0F], SLOW, FAST), [0xFE, 0x80]);
     // 0 00000000 1, twice. At half the rate every second bit of it is sampled: 0 00010000 1.
     assert_eq!(misread(&[0, 0], FAST, SLOW), [0x08]);

@@ -17,9 +17,9 @@ fn ahead_deg(m: &SimulatedMotor) -> f64 {
     m.motor_side_angle_deg() - m.output_angle_deg()
 }
 
-/// For the first half degree 4 N·m turn the motor's side alone, with α = 100 rad/s². That takes √(2 · 0.0087266 / 100) =
-/// 13.211 ms and ends at 1.3211 rad/s. Then 0.04 of 0.1 kg·m² share this with the load: 0.52844 rad/s. Both go on with
-/// 40 rad/s².
+/// For the first half degree 4 N·m turn the motor's side alone, with α = 100 rad/s². That takes √(2 · 0.0087266 / 100)
+/// = 13.211 ms and ends at 1.3211 rad/s. Then 0.04 of 0.1 kg·m² share this with the load: 0.52844 rad/s. Both go on
+/// with 40 rad/s².
 #[test]
 fn the_motor_crosses_the_play_and_takes_the_load_along() {
     let mut m = motor(loose());

@@ -24,8 +24,8 @@ fn a_rotor_swings_about_where_it_clings() {
     assert!(speed(&m).abs() < 1e-4, "{}", speed(&m));
 }
 
-/// Against 0.25 N·m, half of the amplitude, the rotor settles where the sine is a half: at 30 of 360 degrees, 0.25 of 3.
-/// A torque below the amplitude never turns it into the next period, a larger one does.
+/// Against 0.25 N·m, half of the amplitude, the rotor settles where the sine is a half: at 30 of 360 degrees, 0.25 of
+/// 3. A torque below the amplitude never turns it into the next period, a larger one does.
 #[test]
 fn a_motor_at_rest_holds_up_to_the_cogging_torque() {
     let mut m = motor(coggy(with_friction(0.0, 0.0, 2.0)));

@@ -22,8 +22,8 @@ fn housed() -> MotorParameters {
 /// On the way, C T' = A T + P has the rates of x² + (1/20 + 1/100 + 1/200) x + 1/4000 = 0: 0.060895 and 0.004105 per
 /// second. Both start at 0 K.
 ///
-/// - The rise of the winding is 36 + a e^(-0.060895 t) + b e^(-0.004105 t), with a + b = -36 and a 0.060895 + b 0.004105
-///   = -12 W / 20 J/K: a = -7.9629, b = -28.0371.
+/// - The rise of the winding is 36 + a e^(-0.060895 t) + b e^(-0.004105 t), with a + b = -36 and a 0.060895 + b
+///   0.004105 = -12 W / 20 J/K: a = -7.9629, b = -28.0371.
 /// - The rise of the housing is that of the winding plus 20 s of its slope less 12 K: 24 + 1.7350 e^(..) - 25.7350
 ///   e^(..).
 #[test]

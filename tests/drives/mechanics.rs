@@ -410,8 +410,8 @@ impl Mechanics for Bare {
     }
 }
 
-/// The periods that the documentation of `mechanics` calls safe: 200 us with the smallest inertia that there can be,
-/// 1 ms with four times that.
+/// The periods that the documentation of `mechanics` calls safe: 200 us with the smallest inertia that there can be, 1
+/// ms with four times that.
 #[test]
 fn every_models_loops_are_calm_with_the_documented_periods() {
     for (times, period_us) in [(1.0, 200), (4.0, 1_000)] {

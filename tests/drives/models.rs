@@ -1,7 +1,7 @@
 //! Each model of the library compared with its data sheet, in runs of the physics.
 //!
-//! The figures are typed from the sheets once more here, so that a slip in a model's file shows. For the sheets and what
-//! they leave out see `host-std/models/README.md`.
+//! The figures are typed from the sheets once more here, so that a slip in a model's file shows. For the sheets and
+//! what they leave out see `host-std/models/README.md`.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{MODELS, MotorParameters, SimulatedMotor};

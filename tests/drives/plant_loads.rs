@@ -163,8 +163,8 @@ fn a_damper_of_any_strength_is_stable() {
 // End stops
 
 /// A stop throws back with its share of the speed and is pressed in by ω √(J/k). This holds for every speed, every
-/// stiffness that the step allows (up to 4·10⁵ N·m/rad here), and every part of a step at which it is touched. The share
-/// is met within 0.005 and the depth within 1 %. Below a restitution of 1 no speed is gained.
+/// stiffness that the step allows (up to 4·10⁵ N·m/rad here), and every part of a step at which it is touched. The
+/// share is met within 0.005 and the depth within 1 %. Below a restitution of 1 no speed is gained.
 #[test]
 fn a_stop_throws_back_with_its_share_of_the_speed() {
     for restitution in [0.0, 0.1, 0.5, 0.9, 0.995, 1.0] {

@@ -198,8 +198,8 @@ fn the_brake_holds_and_slips_at_its_limit() {
 
 /// A phase has at most half of 48 V. Its back-EMF has the amplitude 2/3 Kt ω (three half waves of power make Kt i ω).
 /// So the motor ends at ω = 24 V / (2/3 * 2 N·m/A) = 18 rad/s, whatever current is commanded. On the voltage limit the
-/// current is (V - EMF) / R, and the speed rises exponentially with the time constant J R / (2/3 Kt²) =
-/// 0.1 * 0.5 / (8/3) = 18.75 ms.
+/// current is (V - EMF) / R, and the speed rises exponentially with the time constant J R / (2/3 Kt²) = 0.1 * 0.5 /
+/// (8/3) = 18.75 ms.
 #[test]
 fn back_emf_limits_the_no_load_speed() {
     for asked in [1.0, 50.0, 1000.0] {
@@ -218,8 +218,8 @@ fn back_emf_limits_the_no_load_speed() {
     }
 }
 
-/// A stalled motor takes 3/2 R i² from the supply, plus the electronics' own power. An ampere (rms) is √2 A at the peak,
-/// which doubles the loss. Copper at 125 °C has 1 + 0.00393 * 100 times its resistance at 25 °C.
+/// A stalled motor takes 3/2 R i² from the supply, plus the electronics' own power. An ampere (rms) is √2 A at the
+/// peak, which doubles the loss. Copper at 125 °C has 1 + 0.00393 * 100 times its resistance at 25 °C.
 #[test]
 fn a_stalled_motor_draws_copper_loss() {
     let mut lossy = ideal();
@@ -272,8 +272,8 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
         close(f64::from(highest[phase]), 3.0, 1e-3);
         close(f64::from(lowest[phase]), -3.0, 1e-3);
     }
-    // All current is in the quadrature axis, so phase A is 0 at electrical angle 0 and at its negative peak a quarter of
-    // an electrical turn later.
+    // All current is in the quadrature axis, so phase A is 0 at electrical angle 0 and at its negative peak a quarter
+    // of an electrical turn later.
     m.set_output_angle_deg(0.0).unwrap();
     let phases = m.advance(&amps(3.0), Duration::from_micros(100)).phase_currents_a;
     assert!(phases[0].abs() < 1e-3, "{phases:?}");
@@ -282,9 +282,9 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
     close(f64::from(phases[0]), -3.0, 1e-4);
 }
 
-/// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2. A turning motor that brakes with little current
-/// pushes Kt i ω less copper loss into the supply. The supply's voltage rises by the same law, with the feedback
-/// resistance.
+/// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2. A turning motor that brakes with little
+/// current pushes Kt i ω less copper loss into the supply. The supply's voltage rises by the same law, with the
+/// feedback resistance.
 #[test]
 fn the_supply_sags_under_load_and_rises_with_feedback() {
     let weak = Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) };
@@ -303,9 +303,9 @@ fn the_supply_sags_under_load_and_rises_with_feedback() {
     }
 }
 
-/// With the output off the diodes conduct once the back-EMF between two phases, √3 * 4/3 ω, exceeds 48 V, at 20.8 rad/s.
-/// At 30 rad/s a phase has 40 V, of which the supply takes 48/√3 V. The rest drives a current through 0.5 Ω, which
-/// brakes with 2 N·m/A. The power that copper does not lose goes into the supply.
+/// With the output off the diodes conduct once the back-EMF between two phases, √3 * 4/3 ω, exceeds 48 V, at 20.8
+/// rad/s. At 30 rad/s a phase has 40 V, of which the supply takes 48/√3 V. The rest drives a current through 0.5 Ω,
+/// which brakes with 2 N·m/A. The power that copper does not lose goes into the supply.
 #[test]
 fn a_motor_that_is_turned_fast_feeds_back_through_its_diodes() {
     for (rad_per_s, current_a) in [(20.0, 0.0), (30.0, -(40.0 - 48.0 / 3_f64.sqrt()) / 0.5)] {

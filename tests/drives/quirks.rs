@@ -210,7 +210,7 @@ fn answers_as_new_id() {
     }
 }
 
-/// 0x9A reports "released" only while the output is on.
+/// 0x9A reports "released" only while the drive obeys a command that moves or holds the motor.
 #[test]
 fn brake_told_by_motion() {
     let (lock, release) = (BrakeCommand::LOCK, BrakeCommand::RELEASE);

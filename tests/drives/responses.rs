@@ -140,8 +140,8 @@ fn the_position_loop_answers_as_its_gains_say() {
     }
 }
 
-/// The step response of the same speed loop: 1 + Σ (B p + B I) / (p (p - q)) e^pt over its poles p, q of
-/// s² + 100 s + 500, which are -50 ± √2000.
+/// The step response of the same speed loop: 1 + Σ (B p + B I) / (p (p - q)) e^pt over its poles p, q of s² + 100 s +
+/// 500, which are -50 ± √2000.
 #[test]
 fn a_step_of_speed_is_followed_as_the_poles_say() {
     let mut alone = ten_times_heavier();

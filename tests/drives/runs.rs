@@ -373,8 +373,8 @@ fn exchanges<R: Runner<8, Error: Debug>>(master: &mut R) {
     assert!(master.master().motors() == MotorSet::from_iter([one, two]));
 }
 
-/// Everything on the bus during [`exchanges`]: one line per frame, with the time at which it ends. Checks first how long
-/// each frame takes and what it contains. A drive begins a reply after 0.7 to 0.9 ms.
+/// Everything on the bus during [`exchanges`]: one line per frame, with the time at which it ends. Checks first how
+/// long each frame takes and what it contains. A drive begins a reply after 0.7 to 0.9 ms.
 fn trace<W: Wire>(
     frame_ns: fn(&W::Frame) -> u64,
     reply_begins_late_ns: u64,

@@ -14,8 +14,8 @@ use myactuator_protocol_core::{AnyCommand, AnyReply, Firmware, Opcode, Packet};
 use myactuator_tests::vectors::{Bus, Direction, Row, rows};
 use serde_json::Value;
 
-/// Compares numbers by value: whole ones exactly, others to 1e-5, which is what an `f32` keeps of a motion scale
-/// 90 rad/s wide.
+/// Compares numbers by value: whole ones exactly, others to 1e-5, which is what an `f32` keeps of a motion scale 90
+/// rad/s wide.
 fn agree(expected: &Value, found: &Value) -> bool {
     match (expected, found) {
         (Value::Number(expected), Value::Number(found)) => {
