@@ -1,10 +1,15 @@
 //! Searches every interleaving of what callers do and what a bus does, on CAN and on a line, with one and with two
-//! motors, up to a number of calls, faults and steps. What must hold of the master has to hold in every state. Each
-//! search has its own alphabet, since all calls together would be too many.
+//! motors, up to a number of calls, faults and steps. The properties of the master must hold in every state. Each
+//! search has its own set of calls, since all calls together would be too many.
 //!
-//! The master is cloned and run, breadth first, against the model of `world`. `callers` has what callers do, `state`
-//! what may happen, `oracle` what must hold. In `echoes` the loop over RS485 is cloned, with an adapter. `longer` draws
-//! longer runs of the same at random, and `calls` any calls at all, and shrinks those that fail.
+//! The master is cloned and run, breadth first, against the model of `world`:
+//!
+//! - `callers`: what callers do.
+//! - `state`: what may happen.
+//! - `oracle`: what must hold.
+//! - `echoes`: the same for the loop over RS485, with an adapter.
+//! - `longer`: longer random runs of the same steps.
+//! - `calls`: random runs of any calls. Those that fail are shrunk.
 //!
 //! `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints how many states there were. With
 //! `--ignored` it searches further, which takes ten minutes.
@@ -66,7 +71,7 @@ const TWO: Bounds = Bounds {
     depth: 60,
 };
 
-/// Commands to all, which may move a motor that is stopped, and end motion.
+/// Commands to all: they may end motion, or move a motor that is stopped.
 const ALL: Bounds = Bounds {
     name: "commands to all",
     medium: Medium::Can,
@@ -107,7 +112,7 @@ const KINDS: Bounds = Bounds {
     depth: 60,
 };
 
-/// A stop of one, and after it a command to all that stops in the other way.
+/// A stop of one motor, and a command to all that stops in the other way.
 const ENDS: Bounds = Bounds {
     name: "stops of one and of all",
     calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::ShutdownAll],
@@ -116,7 +121,7 @@ const ENDS: Bounds = Bounds {
     ..KINDS
 };
 
-/// Stops that are lifted and called again, with motion between them and without.
+/// Stops that are lifted and called again, with and without motion between them.
 const LIFTS: Bounds = Bounds {
     name: "stops that are lifted",
     calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::Lift],

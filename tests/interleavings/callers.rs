@@ -1,4 +1,4 @@
-//! What callers do, and what follows for the oracle.
+//! What callers do, and what the oracle concludes from it.
 
 use myactuator_protocol_core::command::{
     IncrementalPosition, RawMotion, ReadMultiTurnAngle, Shutdown, Stop, Torque,
@@ -12,13 +12,13 @@ use myactuator_tests::rig::with_token;
 use super::state::State;
 use super::world::{Open, motor_at};
 
-/// What a caller does, to the motor with this index.
+/// A call, for the motor with this index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Call {
     Read(u8),
     Move(u8),
     Shutdown(u8),
-    /// The command Stop (0x81), rather than the stop.
+    /// The command Stop (0x81), not a stop of the master's.
     Hold(u8),
     Torque(u8),
     Motion(u8),
@@ -26,14 +26,14 @@ pub(crate) enum Call {
     StopAll(StopKind),
     Lift,
     LiftOf(u8),
-    /// To all.
+    /// A read to all.
     Broadcast,
     TorqueAll,
     ShutdownAll,
-    /// To all, without expected answers.
+    /// A Shutdown to all that expects no answers.
     ShutdownAllUnheard,
     HoldAll,
-    /// The loop reports that the bus carries nothing, while it is cut.
+    /// The loop reports that the bus is down while it is cut.
     BusDown,
 }
 
@@ -80,7 +80,7 @@ impl<const N: usize> State<N> {
                 let is_put = self.master.stop_all(kind, known).is_ok();
                 known.iter().for_each(|motor: MotorId| self.stops(motor.index(), kind));
                 if kind == StopKind::Off {
-                    // Motors without a place, too.
+                    // It also reaches motors without a place.
                     self.world.truth.iter_mut().for_each(|truth| truth.is_off = true);
                 }
                 (self.world.stops_all, self.world.stop_all_call) = (true, number);
@@ -156,7 +156,7 @@ impl<const N: usize> State<N> {
             let truth = &mut self.world.truth[motor];
             truth.all_call = number;
             if is_put && kind == StopKind::Off {
-                // A hold in flight becomes one, too.
+                // A hold in flight becomes an off, too.
                 truth.stop_kind = Some(kind);
             }
             self.ends_motion(motor, kind);
@@ -164,19 +164,19 @@ impl<const N: usize> State<N> {
         is_put
     }
 
-    /// A command ends the motion of a motor.
+    /// Notes that a command ends the motion of a motor.
     fn ends_motion(&mut self, motor: usize, kind: StopKind) -> bool {
         let truth = &mut self.world.truth[motor];
         truth.last_stop = self.world.calls;
         truth.is_wanted_sent = false;
-        // The manual does not say which of these counts: a stop in force that has switched the motor off, or a newer
-        // command to hold. The caller wants both.
+        // If a stop in force has switched the motor off and a newer command holds it, the caller wants both, and the
+        // manual does not say which counts.
         truth.wants = Some(kind).filter(|_| !truth.is_off || kind == StopKind::Off);
         true
     }
 
-    /// A stop like the one in flight changes nothing. Nothing moves before that is over, even if it was lifted. A motor
-    /// that was switched off stays off.
+    /// Notes a stop. If one of the same kind is in flight, nothing changes: until that is over nothing moves, even if
+    /// it was lifted. A motor that was switched off stays off.
     fn stops(&mut self, motor: usize, kind: StopKind) {
         let number = self.world.calls;
         let truth = &mut self.world.truth[motor];

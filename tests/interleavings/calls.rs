@@ -1,13 +1,13 @@
-//! Random calls, in any order and at any time, with frames that make sense and frames that do not. Whatever callers and
-//! a bus do, these hold:
+//! Random calls, in any order and at any time, with frames that make sense and frames that do not. These properties
+//! hold whatever callers and a bus do:
 //!
 //! - Nothing panics.
-//! - While a motor is stopped, nothing is offered to it that could move it.
-//! - Each ticket ends once, and at the latest some time after the last call.
-//! - Nothing that moves a motor is offered to one that has restarted before a caller resumes it.
-//! - What `poll_transmit` offers, it offers again until it is taken.
+//! - While a motor is stopped, the master offers nothing that could move it.
+//! - Each ticket ends exactly once, within a limited time after the last call.
+//! - After a restart of a motor, nothing that moves it is offered before a caller resumes it.
+//! - `poll_transmit` offers the same packet again until it is taken.
 //! - Nothing happens on its own before `poll_at`.
-//! - No more is counted as answered or lost than was asked.
+//! - No more commands are counted as answered or lost than were sent.
 
 use std::collections::HashSet;
 
@@ -32,9 +32,9 @@ use proptest::test_runner::{Config as Cases, RngSeed};
 
 use super::oracle::check_poll_at;
 
-/// Fewer than the motors that are asked.
+/// Fewer places than motors.
 const PLACES: usize = 3;
-/// All that is in flight is over by then: restarts, retries, and late answers.
+/// By then everything in flight is over: restarts, retries and late answers.
 const LONGEST_END: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug)]
@@ -73,9 +73,9 @@ enum Call {
     BusDown,
     /// The bus takes what is offered.
     Take,
-    /// It hands back one of the last that it took.
+    /// It hands back one of the last packets that it took.
     HandBack(u8),
-    /// It hands back what it never had.
+    /// It hands back a packet that it never took.
     HandBackAny(MotorId, Data),
     /// One of the last commands is answered.
     Answer(u8),
@@ -136,7 +136,7 @@ fn call() -> impl Strategy<Value = Call> {
     ]
 }
 
-/// The master, and what is known of it.
+/// The master, and what the test knows of it.
 struct Model {
     master: Master<PLACES>,
     is_rs485: bool,
@@ -147,9 +147,9 @@ struct Model {
     stopped: MotorSet,
     /// Motors whose restart was reported, and that no caller has resumed.
     restarted: MotorSet,
-    /// What the bus took, the last first.
+    /// The last packets that the bus took, newest first.
     sent: Vec<Packet>,
-    /// How much was sent to each motor that is answered.
+    /// The number of commands sent to each motor.
     asking: [u64; MotorId::COUNT],
 }
 
@@ -159,13 +159,13 @@ fn set_of(bits: u8) -> MotorSet {
     chosen.filter_map(|(_, id)| MotorId::new(id).ok()).collect()
 }
 
-/// Commands that may move a motor, by the manual.
+/// Whether a command may move a motor, by the manual.
 fn moves(packet: &Packet) -> bool {
     const BYTES: [u8; 6] = [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9];
     matches!(packet.channel, Channel::Motion(_)) || BYTES.contains(&packet.data[0])
 }
 
-/// Commands that may let its load fall, and a restart.
+/// Whether a command may move a motor, let its load fall, or restart it.
 fn is_dangerous(packet: &Packet) -> bool {
     moves(packet) || matches!(packet.data[0], 0x76 | 0x77)
 }
@@ -214,7 +214,7 @@ impl Model {
                 self.stopped.remove(motor);
             }
             Call::Resume(motor) => {
-                // If a restart was not reported, it is not known where the motor is.
+                // A caller takes all events before it resumes a motor: one of them may report a restart.
                 self.poll_events()?;
                 self.master.resume(motor);
                 self.restarted.remove(motor);
@@ -329,7 +329,7 @@ impl Model {
     }
 
     fn broadcast(&mut self, asked: Asked, expected: MotorSet) {
-        // Whether it is refused or not, its effect shows in what is offered.
+        // Refused or not: the effect shows in what is offered.
         let _ = match asked {
             Asked::Angle => self.master.broadcast(ReadMultiTurnAngle, expected),
             Asked::Pid(index) => {
@@ -350,7 +350,7 @@ impl Model {
         let has_open = self.open.iter().any(|open| open.motor() == motor);
         if self.master.forget(motor) {
             prop_assert!(!has_open, "a motor is forgotten whose request is open");
-            // It may still be one of the silent motors of a command to all.
+            // It may still be among the silent motors of a command to all.
             self.restarted.remove(motor);
         }
         Ok(())
@@ -436,7 +436,7 @@ impl Model {
         Ok(())
     }
 
-    /// Nothing answers any more: everything ends, except a stop in force.
+    /// Lifts all stops and lets nothing answer any more: everything must end.
     fn end(&mut self) -> Result<(), TestCaseError> {
         self.master.lift_stop();
         let end = self.now + LONGEST_END;
@@ -466,12 +466,12 @@ const fn speed() -> Speed {
     Speed { max_torque: MaxTorque::from_raw(1), speed: SpeedTarget::from_raw(1) }
 }
 
-/// One that no firmware here knows.
+/// A command that no firmware here knows.
 const fn raw(moves: bool) -> RawCommand {
     RawCommand::new([0x71, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, moves)
 }
 
-/// What a drive answers.
+/// The reply of a drive.
 fn reply_to(command: &Packet) -> Option<Packet> {
     let channel = match command.channel {
         Channel::Command(Target::Motor(motor)) => Channel::Reply(motor),
@@ -497,7 +497,7 @@ fn run_for_now(config: Config, calls: &[Call]) -> Result<Model, TestCaseError> {
     Ok(model)
 }
 
-/// All its times are this one.
+/// The configuration with all times replaced by this one.
 fn of_one_time(config: Config, time: Duration) -> Config {
     let bus = match config.bus {
         Bus::Can => Bus::Can,

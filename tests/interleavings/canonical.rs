@@ -1,10 +1,14 @@
-//! When two states are the same: a number that equal states share, at any time and after any number of requests.
+//! A number that equal states share, at any time and after any number of requests.
 //!
 //! It is made from the master's `Debug` text, so that no field can be forgotten. Times count from now, and the rounds
-//! of the motors from the master's. Left out is what only counts, names, or is asked by callers: health, tickets,
-//! whether the newest set-point was dropped, and by when a drive has started. What is left out can only change what is
-//! reported, with two exceptions that do not occur here: when a motor was heard last, which matters after a second, and
-//! by when it has started, which matters if its run time is read.
+//! of the motors from the master's round.
+//!
+//! Fields that only count, name, or answer callers are left out: health, tickets, whether the newest set-point was
+//! dropped, and by when a drive has started. They can only change what is reported, with two exceptions that do not
+//! occur here:
+//!
+//! - When a motor was heard last matters after a second.
+//! - By when it has started matters if its run time is read.
 
 use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
@@ -12,7 +16,7 @@ use std::hash::{BuildHasher, Hash, Hasher};
 use foldhash::quality::{FixedState, FoldHasher};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-/// Beyond this it makes no difference how long ago something was, except for a sent frame.
+/// If something is longer ago than this, it makes no difference how long, except for a sent frame.
 const PAST: Duration = Duration::from_millis(1);
 /// The same for a sent frame.
 const LONG_AGO: Duration = Duration::from_millis(4);
@@ -36,7 +40,7 @@ pub(crate) fn number(
 
 /// A time relative to now.
 pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
-    // What the master uses for "not" and "never".
+    // The master's values for "not" and "never".
     if at == Instant::ZERO {
         return i64::MIN;
     }
@@ -48,7 +52,7 @@ pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
     ahead - behind
 }
 
-/// The meaning of the number after this field's name.
+/// The meaning of the number after a field's name.
 #[derive(Clone, Copy, PartialEq)]
 enum Field {
     Plain,
@@ -61,8 +65,8 @@ enum Field {
     Ignored,
 }
 
-/// Takes the pieces in which `Debug` writes: a name, a sign or a number each. If they came differently, fewer states
-/// would be found equal, but none wrongly.
+/// Takes the pieces that `Debug` writes: each is a name, a sign or a number. If the pieces came differently, fewer
+/// states would be found equal, but none wrongly.
 struct Sink {
     hasher: FoldHasher<'static>,
     now: Instant,
@@ -149,7 +153,7 @@ impl Write for Sink {
                     "pace" => Field::Pace,
                     "misses" => Field::Misses,
                     "ticket" | "last_ticket" | "is_newest_dropped" | "started_by" => Field::Ignored,
-                    // Bytes that were processed, or are no frame.
+                    // Bytes that are already processed, or are no frame.
                     "chunk" | "next" | "end" | "held" | "garbled" => Field::Ignored,
                     _ => Field::Plain,
                 };

@@ -1,12 +1,12 @@
 //! Searches every interleaving of a line and its adapter. The loop over RS485 is cloned and run, with a master of two
-//! motors, a direction pin and all that it knows of echoes.
+//! motors, a direction pin and everything that the loop knows of echoes.
 //!
-//! The adapter echoes or does not, and the loop was configured for that or not. What came over the line is handed over
-//! in order, at once or later, so that an echo comes alone or in one burst with the answer. Every command here, except
-//! the read of the status, is acknowledged by its own bytes. Two things must hold:
+//! The adapter may or may not echo, and the loop may or may not be configured for that. The adapter hands over bytes in
+//! order, at once or later. So an echo comes alone, or in one burst with the answer. Every command here, except the
+//! read of the status, is acknowledged by its own bytes. Two things must hold:
 //!
 //! - No echo passes for an answer.
-//! - No answer of a motor that works passes for an echo so often that the motor counts as silent.
+//! - Answers of a working motor do not pass for echoes so often that the motor counts as silent.
 
 mod adapters;
 mod line;
@@ -29,18 +29,18 @@ use super::world::{self, Medium, motor_at};
 use line::Line;
 use port::{End, Lent, NoDelay, Pin, Port};
 
-/// A loop sleeps no longer.
+/// The longest sleep of a loop.
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
-/// The program is halted for longer than any echo is waited for.
+/// How long the program is halted: longer than it waits for any echo.
 const HALT: Duration = Duration::from_millis(150);
-/// The longest that anything takes in a world without faults, whatever was before.
+/// The longest that anything takes in a world without faults, whatever happened before.
 const LONGEST_WAIT: Duration = Duration::from_millis(200);
-/// This many rounds in a row may find something to do.
+/// The largest number of rounds in a row that find something to do.
 const MOST_ROUNDS: usize = 20;
 /// How many bytes of a frame the port takes before it fails.
 const CUT_AT: usize = 7;
 
-/// What a caller does, to the motor with this index.
+/// A call, for the motor with this index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Call {
     /// A read of the angle, which is 0.
@@ -56,21 +56,21 @@ pub(super) enum Call {
 pub(super) enum Fault {
     /// The next frame that is sent reaches no drive.
     Deaf,
-    /// The port takes the beginning of the next frame, and fails.
+    /// The port takes the beginning of the next frame and then fails.
     CutShort,
-    /// The next bytes of the adapter are lost.
+    /// The next bytes from the adapter are lost.
     Lose,
-    /// They are no frame any more.
+    /// The next bytes from the adapter are damaged and no frame any more.
     Harm,
     /// An answer comes twice.
     Double,
     /// Something comes late.
     Late,
-    /// What has arrived is lost in the port, and the port reports that.
+    /// The bytes that have arrived are lost in the port, and the port reports that.
     ReadFails,
-    /// The program is halted, and everything has come meanwhile.
+    /// The program is halted. Everything comes meanwhile.
     Halt,
-    /// The same, but the adapter still has the echoes; answers are lost.
+    /// The same, but the adapter still holds the echoes, and answers are lost.
     HaltAndHold,
     LoseMaster(u8),
 }
@@ -82,12 +82,12 @@ pub(super) enum Step {
     Poll,
     /// The adapter hands over the next bytes.
     Arrive,
-    /// Time passes, up to what happens next.
+    /// Time passes until something happens.
     Wait,
     Fault(Fault),
 }
 
-/// An adapter, the motors that are there, what callers do, and which faults may occur.
+/// An adapter, the motors that are there, the calls, and the faults that may occur.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Adapter {
     pub(super) name: &'static str,
@@ -106,7 +106,7 @@ pub(super) struct Adapter {
 struct Truth {
     /// The command byte of a request without an outcome so far.
     open: Option<u8>,
-    /// A stop was called for that is neither confirmed nor given up.
+    /// A stop was called and is neither confirmed nor given up.
     is_stopping: bool,
 }
 
@@ -129,8 +129,8 @@ pub(super) struct State {
 
 fn config(is_told: bool) -> Config {
     let bus = Bus::Rs485 { turnaround: Duration::ZERO, echo: is_told };
-    // On any line, only its bytes and its place distinguish an echo from an answer. A command that is sent three times
-    // is answered even if one attempt goes wrong, and a missing echo takes another's answer.
+    // Only its bytes and its place distinguish an echo from an answer on any line. With three attempts a command is
+    // answered even if one attempt goes wrong and, for a missing echo, another's answer is taken.
     Config { bus, attempts: 3, shortest_response: Duration::ZERO, ..world::config(Medium::Line) }
 }
 
@@ -196,14 +196,14 @@ impl State {
         true
     }
 
-    /// A stop in flight goes on.
+    /// Notes a stop. A stop in flight goes on.
     fn stops(&mut self, motor: MotorId) {
         if !std::mem::replace(&mut self.truth[motor.index()].is_stopping, true) {
             self.line.drive_of(motor).look_for(0x81);
         }
     }
 
-    /// Runs the loop until there is nothing to do. `is_heard` says whether the first thing that it sends is heard.
+    /// Runs the loop until there is nothing to do. `is_heard`: whether drives hear the first frame that it sends.
     /// Returns whether it sent anything.
     fn poll(&mut self, is_heard: bool) -> Result<bool, Broken> {
         self.is_polled = true;
@@ -295,7 +295,7 @@ impl State {
         open.ok_or_else(|| "an outcome of a request that is not open".into())
     }
 
-    /// When something happens next, if the loop has processed everything that has come.
+    /// When something happens next, after the loop has processed everything that has come.
     fn next_moment(&mut self) -> Result<Instant, Broken> {
         let now = self.end.now;
         self.end.lend(|| self.arm.idle(now + LONGEST_IDLE));
@@ -407,7 +407,7 @@ impl Searched for State {
         })
     }
 
-    /// Once no call and no fault is left, everything comes to an end.
+    /// Once no call and no fault is left, everything must end.
     fn check(&self) -> Result<(), Broken> {
         let is_last = matches!(self.steps.last(), Some(Step::Call(_) | Step::Fault(_)));
         let is_over = (self.calls_left, self.faults_left) == (0, 0);

@@ -1,5 +1,5 @@
-//! What other masters do on the same bus, as this master hears it. On a line it also hears their commands, which look
-//! like answers.
+//! Other masters on the same bus, as this master hears them. On a line it also hears their commands, which look like
+//! answers.
 
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::{Channel, Data, Packet, Target};
@@ -15,7 +15,7 @@ const VALUES: Data = [0x60, 1, 0, 0, 0xEE, 0, 0, 0];
 const OF_THEIRS: Data = [0x92, 1, 0, 0, 0xEE, 0, 0, 0];
 
 impl<const N: usize> State<N> {
-    /// Another master asks one of our motors and one of its own, and both answer. On a line it waits until that is
+    /// Another master asks one of our motors and one of its own, and both answer. On a line it waits until the line is
     /// free.
     pub(super) fn foreign(&mut self) -> Result<bool, Broken> {
         if self.world.medium == Medium::Line && !self.world.replies.is_empty() {
@@ -29,8 +29,8 @@ impl<const N: usize> State<N> {
         Ok(!self.world.is_cut())
     }
 
-    /// On a free line another master stops one of our motors. The motor answers before anything else is sent, unless it
-    /// has not heard the stop.
+    /// On a free line another master stops one of our motors. If the motor hears the stop, it answers before anything
+    /// else is sent.
     pub(super) fn foreign_stop(&mut self, kind: StopKind, is_heard: bool) -> Result<bool, Broken> {
         let world = &mut self.world;
         let is_free = world.replies.is_empty() && !self.master.is_anything_in_flight();

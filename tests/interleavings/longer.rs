@@ -1,4 +1,4 @@
-//! Random runs, longer than the search reaches, with the same steps, the same world and the same oracle.
+//! Random runs that are longer than the search reaches, with the same steps, the same world and the same oracle.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -8,14 +8,14 @@ use proptest::test_runner::{Config, RngSeed};
 use super::search::Searched;
 use super::state::{Bounds, State, Step};
 
-/// Calls of one run: the model has a bit for each.
+/// Calls of one run. The model has a bit for each.
 const CALLS: u8 = 30;
 const FAULTS: u8 = 12;
-/// After this long without anything heard, a motor may have restarted, which the model does not have.
+/// If a motor is not heard for longer, it may have restarted, which is not in the model.
 const LONGEST_RUN: Duration = Duration::from_millis(900);
 
-/// The sort of steps from which the next one is drawn. The search treats all steps alike; here that would draw hardly
-/// anything but calls and faults.
+/// The sort of steps from which the next one is drawn. If all steps were drawn alike, nearly all would be calls and
+/// faults.
 #[derive(Clone, Copy, Debug)]
 enum Sort {
     Call,

@@ -1,4 +1,4 @@
-//! What must hold: of what the master offers, of each event, and of the end of everything.
+//! What must hold for each offered packet, for each event, and at the end.
 
 use myactuator_protocol_core::master::{Event, Master, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -8,13 +8,13 @@ use super::search::Broken;
 use super::state::State;
 use super::world::{self, Open, World, call_of, motor_at, motor_of, moves};
 
-/// The longest that anything may take in a world without faults: a stop that was overtaken, and before it requests that
-/// wait for late replies.
+/// The longest that anything may take in a world without faults: requests that wait for late replies, and after them a
+/// stop that was overtaken.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 impl<const N: usize> State<N> {
-    /// What the master offers must not be older than a stop or than a newer set-point, and must not move a motor that
-    /// is stopped. Returns the call to which it belongs.
+    /// An offered packet must not be older than a stop or than a newer set-point, and must not move a stopped motor.
+    /// Returns the call to which it belongs.
     pub(super) fn check_offered(&mut self, packet: &Packet) -> Result<u8, Broken> {
         let call = call_of(packet);
         self.check_kind_of_stop(packet)?;
@@ -46,8 +46,8 @@ impl<const N: usize> State<N> {
         Ok(if world::stops(packet) && call == 0 { truth.call_of_stop() } else { call })
     }
 
-    /// No older hold switches on a motor that something newer has switched off, and no older Shutdown lets go of a
-    /// motor that something newer holds.
+    /// An older hold must not switch on a motor that something newer has switched off. An older Shutdown must not let
+    /// go of a motor that something newer holds.
     fn check_kind_of_stop(&self, packet: &Packet) -> Result<(), Broken> {
         let Some(kind) = world::kind_of_stop(packet) else { return Ok(()) };
         let mut of = self.world.truth.iter().enumerate();
@@ -78,7 +78,7 @@ impl<const N: usize> State<N> {
                     return Err("a broadcast that is over is answered".into());
                 };
                 let data = reply.encode();
-                // The answer to a stop has no values, and feedback may also be a stream's.
+                // The answer to a stop has no values. Feedback may also belong to a stream.
                 let is_any =
                     matches!(data[0], 0x80 | 0x81 | 0xA1) || self.world.is_doubled(data[0]);
                 let is_its = is_any || self.world.was_cut || call_of_data(&data) == call;
@@ -121,7 +121,7 @@ impl<const N: usize> State<N> {
         }
         self.check_heard(motor, stop)?;
         match taken {
-            // A hold of all that still waits is not what is confirmed.
+            // An off is confirmed, not a pending hold of all.
             Some((_, StopKind::Off)) => Ok(()),
             _ => self.check_held(motor),
         }
@@ -145,7 +145,7 @@ impl<const N: usize> State<N> {
         Ok(())
     }
 
-    /// A motor that is to be held and has confirmed that is let go by nothing that is older.
+    /// If a motor has confirmed a hold, nothing older may let it go.
     fn check_held(&self, motor: MotorId) -> Result<(), Broken> {
         let Some(truth) = self.world.truth.get(motor.index()) else { return Ok(()) };
         let lets_go = |frame: &world::Frame| {
@@ -193,7 +193,7 @@ fn call_of_data(data: &Data) -> u8 {
     data[4]
 }
 
-/// Whether `poll_at` is right: it is not now if there is nothing to do, and there is nothing to do before it.
+/// Checks `poll_at`: if there is nothing to do now, it is later, and there is nothing to do before it.
 pub(crate) fn check_poll_at<const N: usize>(
     master: &Master<N>,
     now: Instant,

@@ -1,4 +1,4 @@
-//! The search: breadth first, so that it finds the shortest way to a violation.
+//! A breadth-first search, which finds the shortest way to a violation.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::{Write as _, stderr};
@@ -9,7 +9,7 @@ use std::time::Instant;
 /// A violation.
 pub(crate) type Broken = String;
 
-/// A state of the search: the code under test, the world around it, and how they came to this.
+/// A state of the search: the code under test, the world around it, and the steps that led here.
 pub(crate) trait Searched: Clone + Send + Sync {
     type Step: Copy + std::fmt::Debug + Send;
 
@@ -19,7 +19,7 @@ pub(crate) trait Searched: Clone + Send + Sync {
     /// Takes this step. `Ok(false)` if it is impossible.
     fn step(&mut self, step: Self::Step) -> Result<bool, Broken>;
 
-    /// What has happened.
+    /// The steps so far.
     fn steps(&self) -> &[Self::Step];
 
     /// A number that equal states share.
@@ -28,7 +28,7 @@ pub(crate) trait Searched: Clone + Send + Sync {
     /// Checks a state that was not seen before.
     fn check(&self) -> Result<(), Broken>;
 
-    /// Checks that everything comes to its end in a world without faults from now on.
+    /// Checks that everything ends if the world has no faults from now on.
     fn check_end(&self) -> Result<(), Broken>;
 }
 

@@ -1,4 +1,4 @@
-//! One state: the master and its world, and what can happen next. `oracle` checks what must hold in any case.
+//! One state: the master, its world, and what can happen next. `oracle` checks what must hold.
 
 use std::fmt;
 
@@ -14,17 +14,17 @@ use super::oracle::check_poll_at;
 use super::search::{Broken, Searched};
 use super::world::{self, Medium, World, motor_at, motor_of, moves, urgency};
 
-/// The next step. The numbers are indices of motors or of frames on their way.
+/// The next step. The numbers are indices of motors or of frames in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     Call(Call),
-    /// The same, before the caller has taken the events that wait.
+    /// The same, before the caller has taken pending events.
     CallBeforeEvents(Call),
-    /// The bus takes what the master offers. Until then it is refused.
+    /// The bus takes the offered packet. Until then it refuses it.
     Take,
-    /// It takes it and hands this frame back, which is less urgent.
+    /// It takes the packet and hands back this frame, which is less urgent.
     TakeForAnother(u8),
-    /// The drives hear a command. If it is more urgent than those before it, it need not be the first.
+    /// The drives hear a command: the first one, or one that is more urgent than all before it.
     Hear(u8),
     HearTwice(u8),
     LoseCommand(u8),
@@ -37,11 +37,11 @@ pub(crate) enum Step {
     Foreign,
     /// On a line: another master stops motor 1, which hears it or not.
     ForeignStop(StopKind, bool),
-    /// On a line: it takes what the master offers, and the master gets the echo of that.
+    /// On a line: it takes the offered packet, and the master receives its echo.
     TakeAndEcho,
-    /// On a line: it takes what the master offers, and no drive hears it.
+    /// On a line: it takes the offered packet, and no drive hears it.
     TakeAndLose,
-    /// The bus is cut: what is on its way to the drives stays there.
+    /// The bus is cut. Commands in flight stay pending.
     Cut,
     Mend,
     /// A millisecond passes.
@@ -55,11 +55,11 @@ pub(crate) enum Step {
 pub(crate) struct State<const N: usize> {
     pub(super) master: Master<N>,
     pub(crate) world: World,
-    /// What callers do.
+    /// The possible calls.
     calls: &'static [Call],
     /// How many calls may still be made.
     pub(super) calls_left: u8,
-    /// How it came to be.
+    /// The steps that led here.
     pub(crate) steps: Vec<Step>,
 }
 
@@ -71,9 +71,9 @@ const MOST_STEPS: usize = 300;
 pub(crate) struct Bounds {
     pub(crate) name: &'static str,
     pub(crate) medium: Medium,
-    /// What callers do.
+    /// The possible calls.
     pub(crate) calls: &'static [Call],
-    /// How much of it in one run.
+    /// The number of calls in one run.
     pub(crate) most_calls: u8,
     pub(crate) faults: u8,
     pub(crate) depth: usize,
@@ -148,7 +148,7 @@ impl<const N: usize> Searched for State<N> {
         if let Step::CallBeforeEvents(call) = step {
             return Ok(self.call(call));
         }
-        // A caller may make a call before it takes an event, but takes it soon.
+        // A caller may call before it takes an event, but takes it soon.
         self.poll_events()?;
         if let Step::Call(call) = step {
             return Ok(self.call(call));
@@ -156,7 +156,7 @@ impl<const N: usize> Searched for State<N> {
         self.master.handle_timeout(self.world.now);
         self.poll_events()?;
         let is_done = self.of_bus(step)?;
-        // After it has received, the loop reads the time, too.
+        // After receiving, the loop reads the time, too.
         self.master.handle_timeout(self.world.now);
         Ok(is_done)
     }
@@ -250,7 +250,7 @@ impl<const N: usize> State<N> {
         self.world.pass(until)
     }
 
-    /// The bus takes what is offered, and hands another frame back for it.
+    /// The bus takes the offered packet, and may hand another frame back for it.
     fn take(&mut self, for_another: Option<usize>) -> Result<bool, Broken> {
         let now = self.world.now;
         if for_another.is_none() && !self.world.has_room() {
@@ -271,7 +271,7 @@ impl<const N: usize> State<N> {
             self.master.handle_transmitted(now);
         }
         self.note_sent(&packet, call, true);
-        // After a fault the end of an exchange may not be seen.
+        // After a fault the master may not see the end of an exchange.
         if !self.world.send(packet, call) && !self.world.had_fault {
             return Err("a command meets an answer on the line".into());
         }
@@ -307,7 +307,7 @@ impl<const N: usize> State<N> {
 
     fn hear(&mut self, index: usize, times: u8) -> bool {
         match self.world.may_leave(index) {
-            // To be overtaken is a fault of its own.
+            // Overtaking counts as a fault.
             Some(true) if index > 0 && !self.world.fault() => false,
             Some(true) => {
                 self.world.hear(index, times);

@@ -1,14 +1,14 @@
-//! The model of the world: frames on their way to the drives, drives that answer in order, replies on their way back,
-//! and the truth, which the oracle knows and the master does not.
+//! The model of the world: commands in flight, drives that answer in order, replies in flight, and the truth, which the
+//! oracle knows and the master does not.
 //!
 //! The bus is one of these:
 //!
 //! - CAN, with mailboxes that send by priority.
-//! - A line, on which a command has arrived once it is sent, all answers come in order, and those of two motors to one
+//! - A line. A command arrives as soon as it is sent, all answers come in order, and the answers of two motors to one
 //!   command collide.
 //!
-//! Times are whole milliseconds, so that states recur; a drive takes one to answer. A command and its reply arrive
-//! within [`Config::late_window`] after the command was sent, as the master's documentation asks.
+//! Times are whole milliseconds, so that states recur. A drive takes one millisecond to answer. A command and its reply
+//! arrive within [`Config::late_window`] after the command was sent, as the master's documentation demands.
 
 use std::hash::{Hash, Hasher};
 
@@ -23,31 +23,31 @@ const MS: Duration = Duration::from_millis(1);
 const RESPONSE: Duration = MS;
 /// How many frames a controller holds.
 const MAILBOXES: usize = 3;
-/// In byte 1 of each reply whose kind does not repeat its command: it was executed.
+/// Byte 1 of a reply to an executed command, unless the reply is an acknowledgement.
 const DONE: u8 = 0x11;
 const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 
-/// The clock does not start at zero, which for the master means "never".
+/// The clock does not start at zero, because zero means "never" to the master.
 pub(crate) const START: Instant = Instant::from_millis(1_000);
 
 /// What carries the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Medium {
     Can,
-    /// As a fault it may be cut, and it may be mended at any time.
+    /// It may be cut, as a fault, and mended at any time.
     CanThatIsCut,
     /// RS485.
     Line,
 }
 
-/// By then a cut is noticed.
+/// A cut is noticed by then.
 const LONGEST_CUT: Duration = Duration::from_millis(30);
 
 /// The master's configuration: the order of the times is that of [`Config::CAN`].
 pub(crate) fn config(medium: Medium) -> Config {
     let (bus, settle_time) = match medium {
         Medium::Can | Medium::CanThatIsCut => (Bus::Can, MS),
-        // Longer than any answer takes that is not late.
+        // Longer than any answer that is not late.
         Medium::Line => (Bus::Rs485 { turnaround: Duration::ZERO, echo: false }, MS.times(3)),
     };
     Config {
@@ -64,7 +64,7 @@ pub(crate) fn config(medium: Medium) -> Config {
     }
 }
 
-/// A frame on its way.
+/// A frame in flight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub(crate) packet: Packet,
@@ -72,7 +72,7 @@ pub(crate) struct Frame {
     pub(crate) call: u8,
     /// When its command was sent.
     sent: Instant,
-    /// A reply does not arrive before this.
+    /// A reply does not arrive before this time.
     ready: Instant,
     /// Its delay was counted as a fault.
     is_late: bool,
@@ -90,7 +90,7 @@ impl Frame {
     }
 }
 
-/// The motor that a command is for, if it is for one.
+/// The motor that a command is for or a reply is from, if it is one.
 pub(crate) fn motor_of(packet: &Packet) -> Option<MotorId> {
     match packet.channel {
         Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => Some(motor),
@@ -119,7 +119,7 @@ pub(crate) fn kind_of_stop(packet: &Packet) -> Option<StopKind> {
     }
 }
 
-/// The number of the call to which a command or an honest reply belongs; stops of the master have none.
+/// The number of the call to which a command or its true reply belongs. It is 0 for the master's own stops.
 pub(crate) fn call_of(packet: &Packet) -> u8 {
     match packet.channel {
         Channel::Motion(_) | Channel::MotionReply(_) => packet.data[7],
@@ -127,7 +127,7 @@ pub(crate) fn call_of(packet: &Packet) -> u8 {
     }
 }
 
-/// A bit for each command byte, for those that were doubled.
+/// A bit for each command byte, to note which were doubled.
 fn bit_of(byte: u8) -> u8 {
     match byte {
         0x92 => 1,
@@ -150,31 +150,32 @@ pub(crate) struct Open {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Truth {
     pub(crate) open: Option<Open>,
-    /// It was stopped on its own, and that was not lifted.
+    /// A stop of this motor alone was called and not lifted.
     pub(crate) is_stopped: bool,
-    /// It was switched off by a stop that was not lifted.
+    /// A stop that was not lifted has switched it off.
     pub(crate) is_off: bool,
-    /// How the last command or call that ended its motion did so, if that is certain.
+    /// How the last command or call that ended its motion stopped it, if that is certain.
     pub(crate) wants: Option<StopKind>,
-    /// Whether that was sent.
+    /// Whether a command of that kind was sent.
     pub(crate) is_wanted_sent: bool,
-    /// The command to all that ended its motion last. The motor may get its own instead, and confirm that.
+    /// The call of the last command to all that ended its motion. The motor may get its own command instead and confirm
+    /// that.
     pub(crate) all_call: u8,
-    /// The call that stopped it last; and the last one that was a request for a stop or a stop.
+    /// The call that stopped it last, and the last call that was a stop or a request that ends motion.
     pub(crate) stop_call: u8,
     pub(crate) last_stop: u8,
-    /// Its own stop that the bus took and that is not confirmed: the call to which it belongs, which no later one
-    /// changes, and its kind.
+    /// Its own stop that the bus has taken and that is not confirmed: its call, which later calls do not change, and
+    /// its kind.
     pub(crate) stop_taken: Option<(u8, StopKind)>,
-    /// A stop that is neither confirmed nor given up, and the kind of the last one.
+    /// A stop is neither confirmed nor given up. The kind of the last stop.
     pub(crate) is_stopping: bool,
     pub(crate) stop_kind: Option<StopKind>,
-    /// Which set-points and moves were sent and not handed back, a bit each.
+    /// The set-points and moves that were sent and not handed back, a bit each.
     pub(crate) set_points_sent: u32,
     pub(crate) moves_sent: u32,
     /// The drive has heard the stop of this call, and no motion of an older call after it.
     pub(crate) stop_heard: u8,
-    /// How the drive was stopped last, by what it has heard.
+    /// The kind of the last stop that the drive has heard.
     pub(crate) heard: Option<StopKind>,
     /// The drive has lost its master and ignores the next command.
     pub(crate) ignores: bool,
@@ -190,7 +191,8 @@ impl Truth {
         }
     }
 
-    /// Whether it is being told separately what all were told to end motion, and was sent nothing since that moves it.
+    /// Whether it is being sent its own copy of a command to all that ends motion, and nothing that moves it was sent
+    /// since.
     pub(crate) fn is_told_for_all(&self, kind: StopKind) -> bool {
         let is_newer = |sent: u32| sent >> self.all_call != 0;
         self.all_call != 0
@@ -211,40 +213,40 @@ impl Truth {
     }
 }
 
-/// Everything but the master.
+/// Everything except the master.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub(crate) medium: Medium,
     pub(crate) now: Instant,
-    /// Since when the bus is cut, if it is.
+    /// When the bus was cut, if it is cut.
     cut_at: Option<Instant>,
-    /// A frame on its way to the drives came later than it may be waited for.
+    /// A cut has delayed commands in flight for longer than the master may wait for them.
     pub(crate) was_cut: bool,
     /// No drive hears the next frame that is sent on a line.
     pub(crate) loses_next: bool,
-    /// All were stopped, and that was not lifted.
+    /// A stop of all was called and not lifted.
     pub(crate) stops_all: bool,
-    /// The call that stopped all last. A stop to all belongs to it.
+    /// The last call that stopped all. A stop to all belongs to it.
     pub(crate) stop_all_call: u8,
-    /// On their way to the drives.
+    /// In flight to the drives.
     pub(crate) commands: Vec<Frame>,
-    /// On their way back.
+    /// In flight to the master.
     pub(crate) replies: Vec<Frame>,
-    /// One each: motors 1 and 2.
+    /// One for each motor.
     pub(crate) truth: Vec<Truth>,
     /// The call whose broadcast is in flight.
     pub(crate) broadcast: Option<u8>,
-    /// How many calls were made. Their numbers show which is older.
+    /// How many calls were made. Their numbers show their order.
     pub(crate) calls: u8,
     /// How many faults may still happen.
     pub(crate) faults_left: u8,
-    /// Whether one has.
+    /// Whether a fault has happened.
     pub(crate) had_fault: bool,
     /// The byte of the master's stop to all on a line.
     stopped_all_by: Option<u8>,
-    /// Commands that a drive heard or answered twice: their replies cannot be distinguished.
+    /// Commands that a drive heard or answered twice, so that their replies cannot be distinguished.
     doubled: u8,
-    /// A drive's message that it has lost its master was lost.
+    /// A drive's message that it has lost its master did not arrive.
     pub(crate) lost_master_untold: bool,
 }
 
@@ -292,12 +294,12 @@ impl World {
         may
     }
 
-    /// Whether an answer with this command byte may be that to another command.
+    /// Whether an answer with this command byte may belong to another command.
     pub(crate) fn is_doubled(&self, byte: u8) -> bool {
         self.doubled & bit_of(byte) != 0
     }
 
-    /// As [`is_doubled`](Self::is_doubled), of any stop.
+    /// As [`is_doubled`](Self::is_doubled), for any stop.
     pub(crate) fn is_stop_doubled(&self) -> bool {
         self.is_doubled(0x80) || self.is_doubled(0x81)
     }
@@ -310,7 +312,7 @@ impl World {
         self.truth.get_mut(motor.index())
     }
 
-    /// Lets time pass, unless a frame would have to arrive before. `false` if it may not.
+    /// Lets time pass. `false` if it may not, because a frame must arrive before.
     pub(crate) fn pass(&mut self, until: Instant) -> bool {
         let patience = config(self.medium);
         if let Some(at) = self.cut_at {
@@ -318,7 +320,7 @@ impl World {
             if until > at + LONGEST_CUT || is_reply_too_late {
                 return false;
             }
-            // Frames on their way to the drives wait for the end of that.
+            // Commands in flight wait for the end of the cut.
             self.now = self.now.max(until);
             return true;
         }
@@ -342,14 +344,14 @@ impl World {
         true
     }
 
-    /// The controller takes a frame, or it is sent on the line. `false` if it collides with an answer there.
+    /// The controller takes a frame, or the line carries it. `false` if it collides with an answer there.
     pub(crate) fn send(&mut self, packet: Packet, call: u8) -> bool {
         let (sent, ready) = (self.now, self.now);
         self.commands.push(Frame { packet, call, sent, ready, is_late: false });
         if self.medium != Medium::Line {
             return true;
         }
-        // Of two that collide nothing is heard.
+        // If two frames collide, neither is heard.
         let under_way = self.replies.len();
         self.replies.retain(|reply| reply.ready <= self.now);
         let is_clear = self.replies.len() == under_way;
@@ -364,14 +366,14 @@ impl World {
         is_clear
     }
 
-    /// The bus is cut, if it is whole.
+    /// Cuts the bus, if it is whole.
     pub(crate) fn cut(&mut self) -> bool {
         let is_whole = self.cut_at.is_none();
         self.cut_at = self.cut_at.or(Some(self.now));
         is_whole
     }
 
-    /// The bus is mended, if it is cut. What waits to be sent has its time from now on.
+    /// Mends the bus, if it is cut. The times of pending commands start now.
     pub(crate) fn mend(&mut self) -> bool {
         let was_cut = self.cut_at.take().is_some();
         if was_cut {
@@ -385,8 +387,8 @@ impl World {
         self.cut_at.is_some()
     }
 
-    /// Whether this frame may leave next: it is the first, or more urgent than all before it.
-    /// `None` if there is no such frame.
+    /// Whether this frame may leave next: it is the first, or more urgent than all before it. `None` if there is no
+    /// such frame, or the bus is cut.
     pub(crate) fn may_leave(&self, index: usize) -> Option<bool> {
         let frame = self.commands.get(index).filter(|_| !self.is_cut())?;
         let mut before = self.commands.iter().take(index);
@@ -399,8 +401,8 @@ impl World {
         if times > 1 {
             self.doubled |= bit_of(byte_of(&frame.packet));
         }
-        // The answers to the master's stop to all are not waited for on a line. If they come after it has released the
-        // line, they are taken for those to the stops of one.
+        // On a line the master does not wait for the answers to its stop to all. If they come after it has released the
+        // line, they pass for the answers to the stops of single motors.
         if self.medium == Medium::Line && frame.motor().is_none() && call_of(&frame.packet) == 0 {
             self.stopped_all_by = Some(byte_of(&frame.packet));
         }
@@ -415,7 +417,7 @@ impl World {
         }
     }
 
-    /// Another master stops a motor, after all that this one did.
+    /// Another master stops a motor, after everything that this master did.
     pub(crate) fn stopped_by_another(&mut self, packet: Packet) {
         let (sent, ready, call) = (self.now, self.now, self.calls);
         if let Some(truth) = motor_of(&packet).and_then(|motor| self.truth_of(motor)) {
@@ -430,7 +432,7 @@ impl World {
         let ignores = std::mem::take(&mut truth.ignores);
         if let Some(kind) = kind_of_stop(&frame.packet) {
             truth.heard = Some(kind).filter(|_| !ignores);
-            // One that ignores it stands still as well: its output is cut.
+            // A drive that ignores it stands still as well, since its output is cut.
             truth.stop_heard = truth.stop_heard.max(frame.call);
         } else if moves(&frame.packet) && !ignores && frame.call < truth.stop_heard {
             truth.stop_heard = 0;
@@ -447,7 +449,7 @@ impl World {
         self.replies.push(Frame { packet, ready, ..*frame });
     }
 
-    /// A drive has lost its master: it says so, and stands still.
+    /// A drive has lost its master. It reports that and stands still.
     pub(crate) fn lose_master(&mut self, index: usize) {
         let motor = motor_at(index);
         let Some(truth) = self.truth.get_mut(index) else { return };
@@ -457,7 +459,7 @@ impl World {
         self.replies.push(Frame { packet, call: 0, sent, ready, is_late: false });
     }
 
-    /// The first reply of this motor: each drive's come in order, and on a line all.
+    /// The first reply of this motor. The replies of one drive come in order, and on a line so do all replies.
     pub(crate) fn first_reply(&self, motor: usize) -> Option<usize> {
         if self.medium == Medium::Line {
             let first = self.replies.first()?;
@@ -471,7 +473,7 @@ impl World {
         self.replies.get(index).map_or(self.now, |frame| frame.ready)
     }
 
-    /// Takes a reply out. With `again` it stays, to come once more.
+    /// Takes a reply out. With `again` it stays and comes once more.
     pub(crate) fn take_reply(&mut self, index: usize, again: bool) -> Packet {
         if again {
             let packet = self.replies[index].packet;
@@ -505,7 +507,7 @@ fn byte_of(packet: &Packet) -> u8 {
     }
 }
 
-/// Its identifier: the smaller, the more urgent.
+/// The identifier: the smaller, the more urgent.
 pub(crate) fn urgency(packet: &Packet) -> u16 {
     match packet.channel {
         Channel::Command(Target::Motor(motor)) => 0x140 + u16::from(motor.get()),

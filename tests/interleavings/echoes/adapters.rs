@@ -1,4 +1,4 @@
-//! The adapters that are searched, the motors that are there, and what happens.
+//! The searches: adapters, the motors that are there, calls and faults.
 
 use super::super::search::search;
 use super::Call::{Angle, Lift, Lock, Status, Stop, StopAll};
@@ -10,7 +10,7 @@ use super::{Adapter, Fault, State};
 const ANY_FAULT: &[Fault] =
     &[Deaf, CutShort, Lose, Harm, Double, Late, ReadFails, Halt, HaltAndHold, LoseMaster(0)];
 
-/// Motor 1 is there and motor 2 is not, and it was not configured that the adapter echoes.
+/// Motor 1 is there and motor 2 is not. The adapter echoes, but the loop was not configured for that.
 const UNTOLD: Adapter = Adapter {
     name: "an echo that nobody told of",
     echoes: true,
@@ -43,7 +43,7 @@ const QUIET: Adapter = Adapter {
     ..UNTOLD
 };
 
-/// As much noise as must not hide an echo: four answers in a row show that there is none.
+/// Noise that must not hide an echo. (Four answers in a row without an echo show that there is none.)
 const NOISE: Adapter = Adapter {
     name: "an echo that is lost",
     calls: &[Lock(0), Stop(0), Stop(1)],
@@ -52,11 +52,11 @@ const NOISE: Adapter = Adapter {
     ..UNTOLD
 };
 
-/// Only echoes come, although a motor is there.
+/// Only echoes come, although a motor is there: it hears no commands.
 const DEAF: Adapter =
     Adapter { name: "a motor that is deaf", faults: &[Lose, Deaf], most_faults: 3, ..NOISE };
 
-/// As often as would be enough if losing what was read showed anything.
+/// The port fails so often that it would be enough, if losing received bytes showed that there is no echo.
 const FAILS: Adapter = Adapter {
     name: "a port that fails",
     calls: &[Status(0), Stop(1)],
@@ -67,7 +67,7 @@ const FAILS: Adapter = Adapter {
     ..UNTOLD
 };
 
-/// It hands commands back, as an echo would.
+/// The motor hands commands back, as an echo would.
 const LOSES_MASTER: Adapter = Adapter {
     name: "a motor that loses its master",
     calls: &[Status(0), Stop(0)],

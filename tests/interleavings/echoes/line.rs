@@ -1,5 +1,5 @@
-//! The line behind the port: an adapter that hands over what it hears in the order of the line, with or without echoes,
-//! and drives, one of which may not be there.
+//! The line after the port: an adapter that hands over bytes in the order of the line, with or without echoes, and
+//! drives, of which one may be missing.
 
 use std::collections::VecDeque;
 use std::hash::{Hash, Hasher};
@@ -15,9 +15,9 @@ use crate::interleavings::world::motor_at;
 const RESPONSE: Duration = Duration::from_millis(1);
 /// An answer that comes later than this after its command was sent is late.
 const IN_TIME: Duration = Duration::from_millis(2);
-/// No answer comes later, as the master's documentation asks.
+/// No answer comes later, as the master's documentation demands.
 const LAST_ANSWER: Duration = Duration::from_millis(4);
-/// Nor an echo later than this.
+/// No echo comes later than this.
 const LAST_ECHO: Duration = Duration::from_millis(99);
 
 const STATUS: Data = [0x9A, 50, 30, 1, 0xE5, 1, 0, 0];
@@ -25,7 +25,7 @@ const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 /// Bytes that are no frame, although one could begin at each header.
 const NOISE: [u8; FRAME_LENGTH] = *b">\x01\x08>\x01\x08>\x01\x08>\x01\x08>";
 
-/// Bytes on their way to the port.
+/// Bytes in flight to the port.
 #[derive(Clone, Debug)]
 struct Heard {
     bytes: Vec<u8>,
@@ -41,14 +41,14 @@ struct Heard {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Drive {
     pub(super) is_there: bool,
-    /// It has lost its master, and hands the next command back.
+    /// It has lost its master and hands the next command back.
     ignores: bool,
     /// The command bytes that it has heard and executed since each was last awaited.
     executed: Vec<u8>,
 }
 
 impl Drive {
-    /// What it hears from now on counts.
+    /// Forgets that it has executed this: from now on it is awaited.
     pub(super) fn look_for(&mut self, byte: u8) {
         self.executed.retain(|&it| it != byte);
     }
@@ -76,9 +76,9 @@ pub(super) struct Line {
     pub(super) echoes: bool,
     pub(super) drives: [Drive; 2],
     heard: VecDeque<Heard>,
-    /// Two have sent at the same time.
+    /// Two stations have sent at the same time.
     pub(super) have_met: bool,
-    /// A drive's message that it has lost its master was lost.
+    /// A drive's message that it has lost its master did not arrive.
     lost_master_untold: bool,
     /// An answer has come twice.
     has_doubled: bool,
@@ -103,7 +103,7 @@ impl Line {
         (self.have_met, self.lost_master_untold, self.has_doubled).hash(hasher);
     }
 
-    /// Bytes are sent: a frame, or part of one. They may reach no drive.
+    /// Carries bytes: a frame, or part of one. Drives may not hear them.
     pub(super) fn carry(&mut self, bytes: &[u8], now: Instant, is_heard: bool) {
         let meets = self.heard.iter_mut().filter(|it| it.at > now);
         let mut is_clear = true;
@@ -146,24 +146,24 @@ impl Line {
         self.heard.is_empty()
     }
 
-    /// A drive has lost its master, and says so.
+    /// A drive has lost its master and reports that.
     pub(super) fn lose_master(&mut self, index: usize, now: Instant) {
         self.drives[index].ignores = true;
         let frame = Frame { address: motor_at(index).into(), data: LOST_MASTER };
         self.put(frame.encode().into(), false, now, now);
     }
 
-    /// When what comes next is on the line.
+    /// When the next bytes are on the line.
     pub(super) fn next_at(&self) -> Option<Instant> {
         self.heard.front().map(|heard| heard.at)
     }
 
-    /// What comes next, if it is there.
+    /// The next bytes, if they are there.
     pub(super) fn hand_over(&mut self, now: Instant) -> Option<Vec<u8>> {
         self.heard.pop_front_if(|heard| heard.at <= now).map(|heard| heard.bytes)
     }
 
-    /// What comes next is lost, or is no frame any more.
+    /// The next bytes are lost, or are no frame any more.
     pub(super) fn harm(&mut self, is_lost: bool, now: Instant) -> bool {
         let Some(next) = self.heard.front_mut().filter(|heard| heard.at <= now) else {
             return false;
@@ -176,13 +176,13 @@ impl Line {
         true
     }
 
-    /// These bytes are lost.
+    /// Notes that these bytes are lost.
     pub(super) fn lose(&mut self, bytes: &[u8]) {
         let is_it = |frame: &[u8]| frame.starts_with(&LOST_MASTER);
         self.lost_master_untold |= bytes.windows(LOST_MASTER.len()).any(is_it);
     }
 
-    /// What comes next comes twice, if it is an answer.
+    /// The next bytes come twice, if they are an answer.
     pub(super) fn double(&mut self, now: Instant) -> bool {
         let next = self.heard.front().filter(|heard| !heard.is_echo && heard.at <= now).cloned();
         let is_there = next.is_some();
@@ -191,7 +191,7 @@ impl Line {
         is_there
     }
 
-    /// How many are late at this time that were not before; `None` if something must have come by then.
+    /// How many messages become late by this time; `None` if one must have come by then.
     pub(super) fn late_at(&mut self, until: Instant) -> Option<u8> {
         let mut late = 0;
         for heard in &mut self.heard {
@@ -207,12 +207,12 @@ impl Line {
         Some(late)
     }
 
-    /// The program is halted for long: everything has come then.
+    /// The program was halted for long: everything has come.
     pub(super) fn all(&mut self) -> Vec<u8> {
         self.heard.drain(..).flat_map(|heard| heard.bytes).collect()
     }
 
-    /// The program was halted for long, and the adapter still has the echoes.
+    /// The program was halted for long. The adapter still holds the echoes.
     pub(super) fn hold_echoes(&mut self, now: Instant) -> bool {
         let lost: Vec<_> = self.heard.iter().filter(|it| !it.is_echo).cloned().collect();
         lost.iter().for_each(|heard| self.lose(&heard.bytes));
@@ -221,8 +221,8 @@ impl Line {
         !self.heard.is_empty()
     }
 
-    /// Whether this motor's answers may be taken for the answer to something that it has not heard, as the master's
-    /// documentation says. A motor that is not there answers nothing, whatever the others do.
+    /// Whether an answer of this motor may pass for the answer to a command that it has not heard. The master's
+    /// documentation says when. A motor that is not there answers nothing, whatever the others do.
     pub(super) fn may_be_older(&self, motor: MotorId) -> bool {
         let is_there = self.drives[motor.index()].is_there;
         is_there && (self.has_doubled || self.lost_master_untold)

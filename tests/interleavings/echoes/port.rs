@@ -1,5 +1,5 @@
-//! A serial port, a direction pin and a clock that can be cloned with their loop. What they stand for is lent to them
-//! while the loop runs.
+//! A serial port, a direction pin and a clock that can be cloned with their loop. While the loop runs, [`End`] is lent
+//! to them.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -19,13 +19,13 @@ pub(super) struct End {
     pub(super) written: Vec<u8>,
     /// The port takes this many bytes and then fails.
     pub(super) fails_behind: Option<usize>,
-    /// What has arrived is lost, and the port reports that.
+    /// The bytes that have arrived are lost, and the port reports that.
     pub(super) read_fails: bool,
     /// The transceiver sends.
     pub(super) sends: bool,
-    /// Bytes have left while it did not.
+    /// Bytes have left while the transceiver did not send.
     pub(super) has_sent_into_nothing: bool,
-    /// Until when there is nothing to do, as last reported.
+    /// The time until which the loop last wanted to idle.
     pub(super) idle_until: Instant,
 }
 
@@ -34,7 +34,7 @@ thread_local! {
 }
 
 impl End {
-    /// Lends it to the port, the pin and the clock of this thread.
+    /// Lends this end to the port, the pin and the clock of this thread while `run` runs.
     pub(super) fn lend<T>(&mut self, run: impl FnOnce() -> T) -> T {
         let swap = |end: &mut Self| LENT.with_borrow_mut(|lent| std::mem::swap(lent, end));
         swap(self);
