@@ -1,4 +1,4 @@
-//! What callers ask of the master, each with a token of its own: requests, set-points, broadcasts.
+//! What callers ask of the master: requests, set-points and broadcasts, each with a token of its own.
 
 use myactuator_protocol_core::command::{
     AbsolutePosition, AccelerationIndex, ActiveReply, Command, IncrementalPosition, LockBrake,
@@ -25,10 +25,10 @@ use super::to_all::{SHUTDOWN, STOP};
 use super::truth::Page;
 use super::world::Rough;
 
-/// The most attempts of a request, unless something else is said.
+/// The most attempts of a request, unless it has a retry policy of its own.
 const ATTEMPTS: u32 = 3;
 
-/// Marks a speed request, to distinguish it from a stream's.
+/// Marks a speed request, to distinguish it from a set-point of a stream.
 const REQUEST_MARK: u8 = 7;
 
 /// 0xB1 with a token in the bytes that its reply leaves free.
@@ -100,7 +100,7 @@ impl<W: Rough> Session<W> {
         self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
     }
 
-    /// All are told to end their motion.
+    /// Sends all a command that ends their motion.
     pub(super) fn end_all(&mut self) {
         let token = self.token();
         let expected = self.expected();
@@ -209,7 +209,7 @@ impl<W: Rough> Session<W> {
             None => master.request(motor, command),
         };
         if asked.is_err() {
-            // Its token was not heard, and there are few.
+            // Its token was not used, and there are few.
             self.asked -= 1;
         }
         match asked {
@@ -261,7 +261,7 @@ impl<W: Rough> Session<W> {
             return;
         }
         self.due[index] = false;
-        // One put often replaces another that still waits.
+        // A new set-point often replaces one that is still pending.
         for _ in 0..=self.dice.below(2) {
             let number = self.numbers[index];
             self.numbers[index] += 1;

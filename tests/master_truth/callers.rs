@@ -1,4 +1,5 @@
-//! Callers: when they ask, stop and lift, ask for more than the bus carries, and rest; and how a run goes.
+//! Callers: when they ask, stop, lift and rest, and when they ask for more than the bus carries. Also the loop of a
+//! run.
 
 use myactuator_host_std::sim::bus::faults::{Babble, Direction};
 use myactuator_protocol_core::MotorId;
@@ -12,7 +13,7 @@ use super::oracle::{Oracle, Totals};
 use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// An event waits for those before it, and for a caller that does not look.
+/// By then a restart is reported: its event waits for earlier events, and for a caller that does not look.
 const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
 
@@ -25,7 +26,7 @@ pub(crate) struct Session<W: Rough> {
     pub(super) asked: u32,
     /// When each open request was put, in the world's time.
     pub(super) since: Vec<Instant>,
-    /// When it was put in free time, and how long it may take.
+    /// When it was put, in free time, and how long it may take.
     pub(super) limits: Vec<(Duration, Duration)>,
     pub(super) bounds: Bounds,
     /// When the newest command to all was put, in calm time.
@@ -35,18 +36,18 @@ pub(crate) struct Session<W: Rough> {
     pub(super) is_left_due: bool,
     /// When each motor's newest set-point was put, in the world's time.
     pub(super) streamed: Vec<Instant>,
-    /// The next set-point's number of each motor.
+    /// The number of each motor's next set-point.
     pub(super) numbers: Vec<u32>,
     next_ask: Vec<Instant>,
-    /// Motors whose set-point is answered for, so that the next can be put.
+    /// Motors whose set-point has an outcome, so that the next can be put.
     pub(super) due: Vec<bool>,
-    /// Decides what has come to the callers since their seeds were drawn first.
+    /// Decides what was added to the callers later, so that old seeds keep their meaning.
     pub(super) more: Dice,
-    /// The motor that is stopped next on its own, while a command to all may wait.
+    /// When one motor is stopped next on its own, while a command to all may be pending.
     overtakes_at: Option<Instant>,
-    /// All are stopped again as often, and when next.
+    /// If all are stopped again: how, how often, and when next.
     pub(super) again: Option<(StopKind, Duration, Instant)>,
-    /// Motors that are stopped; when that is lifted, once all have confirmed.
+    /// The stopped motors, and when the stop is lifted, once all have confirmed.
     pub(super) stopped: MotorSet,
     lifted_at: Option<Instant>,
     rests_until: Instant,
@@ -69,8 +70,8 @@ impl<W: Rough> Session<W> {
             }
             if scenario.is_kind() {
                 let motors = u64::from(scenario.motors);
-                // CAN: what was queued before, and two frames each. RS485: what is in flight, one to
-                // all, and an exchange with each.
+                // CAN: queued frames, and two frames for each motor. RS485: the exchange in flight, a stop to all, and
+                // an exchange with each motor.
                 let within =
                     if W::NAME == "CAN" { 2_000 + 300 * motors } else { 12_000 + 1_500 * motors };
                 truth.first_stops_within = Some(Duration::from_micros(within));
@@ -108,7 +109,7 @@ impl<W: Rough> Session<W> {
         format!("{}, {}: {:?}", W::NAME, self.scenario, self.oracle.totals)
     }
 
-    /// Fails with what is broken, if anything is.
+    /// Fails if anything is broken.
     fn judge(&self) {
         let broken = std::mem::take(&mut self.stage.book.open().broken);
         assert!(broken.is_empty(), "{}\n{}", broken.join("\n"), self.told());
@@ -145,7 +146,7 @@ impl<W: Rough> Session<W> {
             match heard {
                 Ok(Some(event)) => {
                     self.take(&event);
-                    // A caller that answers each drop on a dead bus with a new set-point takes some time for it.
+                    // On a dead bus a caller answers each drop with a new set-point, which takes some time.
                     self.stage.world.run_for(Duration::from_micros(1));
                 }
                 Ok(None) => {}
@@ -171,7 +172,8 @@ impl<W: Rough> Session<W> {
             && !self.motors().any(|motor| self.awaits_feedback(motor))
     }
 
-    /// Whether an event of its newest set-point is still to come, since no caller has stopped it since.
+    /// Whether an event of its newest set-point must still come: it has none, and no caller has stopped the motor
+    /// since.
     fn awaits_feedback(&self, motor: MotorId) -> bool {
         let truth = self.stage.book.open();
         let page = &truth.pages[motor.index()];
@@ -179,7 +181,7 @@ impl<W: Rough> Session<W> {
             && page.set_points.put_at > page.stop_called.max(page.may_be_stopping_since)
     }
 
-    /// It waits until it is too old, or its feedback may be lost. And for a while no caller looks.
+    /// A set-point waits until it is too old, or its feedback may be lost. And for a while no caller looks.
     fn longest_stream_wait(&self) -> Duration {
         let config = self.scenario.config::<W>();
         config.set_point_max_age + config.reply_timeout + Duration::from_millis(60)
@@ -190,16 +192,16 @@ impl<W: Rough> Session<W> {
         self.stage.world.now()
     }
 
-    /// A request and a set-point are two exchanges: on CAN 0.5 ms of wire, on RS485 2.5 ms, for
-    /// nothing else goes on meanwhile. Faults take more.
+    /// A request and a set-point are two exchanges. On CAN they take 0.5 ms of wire. On RS485 they take 2.5 ms, because
+    /// nothing else is sent meanwhile. Faults take more.
     fn pace(&self) -> Duration {
         let one = if W::NAME == "CAN" { 1_000 } else { 3_000 };
         let more = 100 + 4 * u64::from(self.scenario.percent);
         Duration::from_micros(one * u64::from(self.scenario.motors) * more / 100)
     }
 
-    /// Sleeps until the master or a frame has something to do. If the master's `poll_at` forgets anything, an outcome
-    /// comes far too late.
+    /// Sleeps until the master has something to do or a frame arrives. If the master's `poll_at` forgets anything, an
+    /// outcome comes far too late.
     fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
         for motor in self.motors() {
@@ -227,7 +229,7 @@ impl<W: Rough> Session<W> {
             let next = self.next_ask.iter().min().copied().unwrap_or(now).max(self.rests_until);
             next.max(now + Duration::from_micros(100))
         };
-        // A cut wire is mended in time: no frame is held back for longer than the master assumes.
+        // A cut wire is mended in time, so that no frame is held back for longer than the master assumes.
         if self.scenario.trouble == Trouble::Cut && self.mischief.is_some() {
             until = until.min(self.next_mischief);
         }
@@ -248,8 +250,8 @@ impl<W: Rough> Session<W> {
         truth.nobody_could_offer();
     }
 
-    /// Cuts, slows, babbles and restarts for the scenario's share of the time; and now and then, a drive
-    /// restarts, loses its master or reports an error.
+    /// Cuts, slows, babbles and restarts for the scenario's share of the time. Now and then a drive restarts, loses its
+    /// master or reports an error.
     fn make_mischief(&mut self) {
         let now = self.now();
         let which = self.dice.below(self.stage.stations.len() as u64) as usize;
@@ -324,7 +326,7 @@ impl<W: Rough> Session<W> {
             if now < self.next_ask[index] {
                 continue;
             }
-            // Half of them at once, as soon as the previous one is over.
+            // Half of them as soon as the previous one is over.
             let waits = if conditions.pace == Pace::Flood { 0 } else { self.dice.below(2) };
             self.next_ask[index] = now + Duration::from_micros(self.pace().as_micros() * 2 * waits);
             if self.oracle.open[index].is_none() {
@@ -336,7 +338,7 @@ impl<W: Rough> Session<W> {
         }
     }
 
-    /// All motors or one, including one that is not asked anything.
+    /// Stops all motors or one.
     fn stop(&mut self) {
         let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
         let one = self.dice.below(3) == 0;
@@ -351,7 +353,7 @@ impl<W: Rough> Session<W> {
         }
     }
 
-    /// This one, or all.
+    /// Stops this motor, or all.
     fn stop_now(&mut self, kind: StopKind, one: Option<MotorId>) {
         let all: MotorSet = self.motors().collect();
         let master = self.stage.host.master();
@@ -367,7 +369,7 @@ impl<W: Rough> Session<W> {
         };
         let (known, now) = (master.motors(), self.now());
         let mut truth = self.stage.book.open();
-        // Nobody has looked at the clock since a wait began.
+        // Nobody has read the clock since a wait began.
         truth.tick(now);
         truth.stop(self.stopped, kind, one.is_none(), known);
     }
@@ -389,7 +391,7 @@ impl<W: Rough> Session<W> {
         }
         if let Some((kind, every, _)) = self.again.filter(|(.., next)| *next <= now) {
             self.again = Some((kind, every, now + every));
-            // Rarely it changes its mind.
+            // Rarely the kind changes.
             let other = if self.more.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
             let kind = if self.more.below(16) == 0 { other } else { kind };
             self.stop_now(kind, None);
@@ -397,7 +399,7 @@ impl<W: Rough> Session<W> {
         }
     }
 
-    /// Some time after all have confirmed the stop it is lifted; rarely before.
+    /// Lifts the stop some time after all have confirmed it, rarely before.
     fn lift(&mut self) {
         if self.stopped.is_empty() {
             return;
@@ -420,7 +422,7 @@ impl<W: Rough> Session<W> {
     }
 
     fn take(&mut self, event: &Event) {
-        // Nothing is counted of a motor without a place.
+        // Nothing is counted for a motor without a place.
         if let Event::Stray { motor, .. } = *event
             && !self.stage.host.master().motors().contains(motor)
         {
@@ -446,7 +448,7 @@ impl<W: Rough> Session<W> {
 
     fn check_health(&mut self) {
         let conditions = self.scenario.conditions;
-        // Without stops, which push aside what is in flight, and without frames that are neither answer nor loss.
+        // Only without stops, which push other commands aside, and without frames that are neither answered nor lost.
         let exactly = conditions.is_plain && !conditions.lost_masters && !conditions.restarts;
         for motor in self.motors() {
             let health = self.stage.host.master().health(motor);

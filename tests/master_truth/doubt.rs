@@ -1,4 +1,4 @@
-//! Whether an acknowledgement may pass for an echo: until answers have shown that the adapter does not echo.
+//! Whether an acknowledgement may pass for an echo. It may until answers have shown that the adapter does not echo.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::Packet;
@@ -9,22 +9,22 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use super::names::Name;
 use super::truth::DONE;
 
-/// No reply to these is the same bytes.
+/// A reply to one of these never has the same bytes as the command.
 const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
 /// This many answers without an echo show that there is none.
 const ANSWERS: u8 = 4;
-/// A later answer shows nothing: its echo is waited for no longer than 100 ms, less the steps of the clock.
+/// A later answer shows nothing, because its echo is not awaited for longer: 100 ms, less the steps of the clock.
 const SHOWS_WITHIN: Duration = Duration::from_millis(98);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Doubt {
-    /// It was said to echo, or this is no line.
+    /// An echo is configured, or this is no line.
     Never,
-    /// How many answers are still to come; what was sent last that may bring one; and what has come.
+    /// How many answers are still needed, the last read that may bring one, and what has come.
     Open { left: u8, asked: Option<Asked>, come: Come },
 }
 
-/// What may bring an answer that shows something: which motor was asked what, and when, in the world's time.
+/// A read whose answer shows something: which motor was asked what, and when, in the world's time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Asked {
     what: (MotorId, u8),
@@ -34,12 +34,12 @@ pub(super) struct Asked {
 /// What has come to reads that show an echo.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Come {
-    /// An echo last, to this.
+    /// If an echo came last: of this.
     echo: Option<(MotorId, u8)>,
-    /// How many answers since, without their echo.
+    /// How many answers have come since without their echo.
     without: u8,
-    /// This motor has said that it has lost its master: until it answers, what comes back may be no echo, and shows
-    /// none.
+    /// This motor has reported that it has lost its master. Until it answers, a command that comes back may be no echo,
+    /// so it shows none.
     hands_back: Option<MotorId>,
 }
 
@@ -56,18 +56,18 @@ impl Doubt {
         matches!(self, Self::Open { left: 1.., .. })
     }
 
-    /// Whether a read that comes back unchanged passes for an echo. It always does if no answer to it has the same
-    /// bytes.
+    /// Whether a read that comes back unchanged passes for an echo. If no answer to it has the same bytes, it always
+    /// does.
     pub(super) fn takes_read_for_echo(self, byte: u8) -> bool {
         self.is_open() || self != Self::Never && NEVER_LIKE_THEIR_REPLY.contains(&byte)
     }
 
-    /// Noise has destroyed the echoes of so many reads in a row that an adapter which echoes seems not to.
+    /// Noise has destroyed the echoes of so many reads in a row that an echoing adapter seems not to echo.
     pub(super) fn is_misled(self) -> bool {
         matches!(self, Self::Open { come: Come { without: ANSWERS.., .. }, .. })
     }
 
-    /// The bus has taken this.
+    /// The bus has taken this command.
     pub(super) fn taken(&mut self, motor: MotorId, name: Name, world: Instant) {
         if let Self::Open { asked, come, .. } = self
             && NEVER_LIKE_THEIR_REPLY.contains(&name.byte)
@@ -76,7 +76,7 @@ impl Doubt {
         }
     }
 
-    /// This has come, from a drive or from the adapter.
+    /// This packet has come, from a drive or from the adapter.
     pub(super) fn delivered(&mut self, motor: MotorId, packet: &Packet, world: Instant) {
         let byte = packet.data[0];
         if matches!(byte, 0x76 | 0xB6) {
@@ -101,19 +101,19 @@ impl Doubt {
         let is_soon = answered.is_some_and(|asked| world - asked.at <= SHOWS_WITHIN);
         *left = left.saturating_sub(is_soon.into());
         come.hands_back.take_if(|hands_back| *hands_back == motor);
-        // After its echo it shows nothing more.
+        // An answer after its echo shows nothing more.
         let has_echoed = come.echo.take_if(|echo| *echo == (motor, byte)).is_some();
         come.without = come.without.saturating_add((!has_echoed).into());
     }
 
-    /// What no drive answers has come back.
+    /// A command that no drive answers has come back.
     pub(super) fn has_echoed(&mut self) {
         if let Self::Open { left, asked, come } = self {
             (*left, *asked, *come) = (ANSWERS, None, Come::default());
         }
     }
 
-    /// What came back may be lost.
+    /// An echo may be lost.
     pub(super) fn port_has_failed(&mut self) {
         if let Self::Open { asked, .. } = self {
             *asked = None;
@@ -121,7 +121,7 @@ impl Doubt {
     }
 }
 
-/// The loop's own read that shows it, and the answer to it.
+/// The loop's own read that shows an echo, and the answer to it.
 pub(super) const SHOWS_ECHO: Name = Name { byte: 0x9A, token: 0 };
 
 /// Whether this is the loop's own read, or its echo.

@@ -1,4 +1,4 @@
-//! Drives that tell the truth, and misbehave as real ones were seen to. And another master.
+//! Drives that note the truth and misbehave as real drives do. And another master.
 
 use std::collections::VecDeque;
 use std::marker::PhantomData;
@@ -25,9 +25,9 @@ use super::turning::Shaft;
 /// A byte that no drive here knows.
 pub(crate) const UNKNOWN: u8 = 0x71;
 const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
-/// How often a drive that has lost its master says so; real ones do once a second.
+/// How often a drive that has lost its master reports that. Real drives do so once a second.
 const HEARTBEAT: Duration = Duration::from_millis(20);
-/// How long it hears nothing before: that is how it loses its master.
+/// How long it hears nothing before that.
 const DEAF: Duration = Duration::from_millis(8);
 const DAY_MS: u64 = 24 * 3_600 * 1_000;
 /// How long a drive takes to restart (field notes).
@@ -41,14 +41,14 @@ pub(crate) struct Drive<W> {
     replies: VecDeque<(Instant, Packet)>,
     dice: Dice,
     book: Book,
-    /// It hears nothing before: it restarts, or its wire is loose.
+    /// It hears nothing before this time, because it restarts or its wire is loose.
     deaf_until: Instant,
     booted: Instant,
     /// How long it had run when the master began.
     ran_ms: u64,
-    /// It has lost its master, and says so next at this time.
+    /// It has lost its master, and reports that next at this time.
     lost: Option<Instant>,
-    /// What it reports by itself: command byte, interval, next time.
+    /// What it reports on its own: command byte, interval, next time.
     report: Option<(u8, Duration, Instant)>,
     reported: u32,
     last_reply: Option<Packet>,
@@ -57,7 +57,7 @@ pub(crate) struct Drive<W> {
     pub(crate) boot: Duration,
     /// One reply in this many comes twice, 0 for none.
     pub(crate) repeats: u64,
-    /// It does not hear what is sent to all (function 2).
+    /// It does not hear commands to all (function 2).
     pub(crate) is_deaf_to_all: bool,
 }
 
@@ -87,9 +87,9 @@ impl<W> Drive<W> {
         }
     }
 
-    /// It has run for long already, as this decides.
+    /// Draws how long it has run already.
     pub(crate) fn has_run(&mut self, dice: &mut Dice) {
-        // The last is about to wrap.
+        // In the last case it is about to wrap.
         let ages = [
             dice.below(10_000),
             dice.below(DAY_MS),
@@ -138,7 +138,7 @@ impl<W> Drive<W> {
             Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
             _ => return,
         };
-        // On RS485 another drive's reply looks like a command if that drive has the same id.
+        // On RS485 the reply of another drive with the same id looks like a command.
         if now < self.deaf_until || packet.data[0] == LOST_MASTER[0] {
             return;
         }
@@ -159,7 +159,7 @@ impl<W> Drive<W> {
                     return;
                 }
                 UNKNOWN => {
-                    // As firmware 2025070202 does.
+                    // Like firmware 2025070202.
                     if let Some(last) = self.last_reply {
                         self.book.open().was_doubled(self.motor);
                         self.answer(last, now);
@@ -246,16 +246,16 @@ impl<W: Wire> Node<W::Frame> for Drive<W> {
     }
 }
 
-/// Another master, which asks the first motor now and then, sometimes stops it, and may move it; or any motor.
+/// Another master. Now and then it asks the first motor, or any motor, sometimes stops it, and may move it.
 pub(crate) struct Stranger<W> {
     wire: PhantomData<W>,
     dice: Dice,
     next: Instant,
     asked: u32,
     motor: MotorId,
-    /// Decides when it moves it, if it does.
+    /// Decides when it moves a motor, if it does.
     moves: Option<Dice>,
-    /// Decides which of this many motors is next, and whether in motion mode, if it moves any motor.
+    /// If it turns to any motor: decides which of this many is next, and whether it moves that in motion mode.
     roams: Option<(Dice, u8)>,
 }
 
@@ -273,7 +273,7 @@ impl<W: Wire> Stranger<W> {
         }
     }
 
-    /// Goes on to another motor. Returns whether it moves that in motion mode.
+    /// Goes on to another motor. Returns whether it moves that motor in motion mode.
     fn roam(&mut self) -> bool {
         let Some((dice, motors)) = &mut self.roams else { return false };
         let next = MotorId::new(dice.below(u64::from(*motors)) as u8 + 1);
@@ -282,7 +282,7 @@ impl<W: Wire> Stranger<W> {
         is_motion && self.moves.is_some() && W::NAME == "CAN"
     }
 
-    /// What moves it, if it is time for that.
+    /// A command that moves the motor, if it is time for one.
     fn motion(&mut self) -> Option<Data> {
         let dice = self.moves.as_mut()?;
         let value = (STRANGERS | self.asked) as i32;

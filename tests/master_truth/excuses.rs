@@ -1,5 +1,5 @@
-//! What no master can know, as documented in `master`. Each excuse is noted when its cause happens, frame by frame. It
-//! holds for that question of that motor, for as long as the consequences may last.
+//! Cases that no master can know, as documented in `master`. Each excuse is noted when its cause happens, frame by
+//! frame. It holds for that question of that motor, for as long as the consequences may last.
 
 use std::collections::HashMap;
 
@@ -12,24 +12,24 @@ use super::names::Question;
 pub(crate) enum Excuse {
     /// A drive answered twice, or a command reached it twice.
     Doubled,
-    /// As that, because two motors have one id.
+    /// The same, because two motors have one id.
     TwoMotorsOfOneId,
     /// Another master asks the same.
     AnotherMaster,
-    /// Another station sends in a drive's name what no drive has said.
+    /// Another station sends, in a drive's name, a frame that no drive has sent.
     MadeUp,
     /// The bus has held a frame back for longer than the late window.
     HeldBack,
-    /// The drive has lost its master, and what it said of that was lost: it sends back what it ignores.
+    /// The drive has lost its master, and its report of that was lost. It hands back the command that it ignores.
     LostMasterUntold,
-    /// Noise has destroyed the echoes of four reads in a row of an adapter that was not configured to echo, so that it
-    /// seems not to; and this is an echo.
+    /// No echo is configured, the adapter echoes, and noise has destroyed the echoes of four reads in a row. So it
+    /// seems not to echo, and this is an echo.
     EchoesTaken,
-    /// A drive's run time has wrapped, as it does after 49.7 days, and the master had not read it.
+    /// A drive's run time has wrapped, as it does after 49.7 days, and the master had not read it before.
     RunTimeBeganAnew,
     /// The angle of a shaft that turns fast is reported late, after a reply that was lost.
     FastAndLate,
-    /// The drive reports on its own (0xB6, function 3) what looks like an answer.
+    /// A report of the drive (0xB6, function 3) looks like an answer.
     ReportedByItself,
 }
 
@@ -38,25 +38,26 @@ pub(crate) enum Excuse {
 pub(crate) struct Excuses {
     /// For each question, the newest last.
     questions: HashMap<Question, Vec<(Excuse, Instant)>>,
-    /// Something of it was doubled; it is not known what.
+    /// Some frame was doubled, but it is not known which.
     doubling: Option<(Excuse, Instant)>,
 }
 
 impl Excuses {
-    /// This has happened to a frame of this question. For a late window, the answer to the next one may be another's.
+    /// Notes what has happened to a frame of this question. For a late window, the answer to the next frame of this
+    /// question may be another's.
     pub(crate) fn note(&mut self, of: Question, excuse: Excuse, now: Instant, window: Duration) {
         let excuses = self.questions.entry(of).or_default();
         excuses.retain(|(other, until)| *other != excuse && now <= *until);
         excuses.push((excuse, now + window));
     }
 
-    /// Something was doubled.
+    /// Notes that some frame was doubled.
     pub(crate) fn note_doubling(&mut self, excuse: Excuse, now: Instant, window: Duration) {
         self.doubling = Some((excuse, now + window.times(2)));
     }
 
-    /// The excuse for a wrong answer to this question. Its own answer, if it then comes, may be taken for that to the
-    /// next. So the excuse goes on holding.
+    /// The excuse for a wrong answer to this question. The right answer may still come and pass for the answer to the
+    /// next one, so the excuse goes on holding.
     pub(crate) fn take(&mut self, of: Question, now: Instant, window: Duration) -> Option<Excuse> {
         let excuse = self.of(of, now)?;
         self.note(of, excuse, now, window);
@@ -77,7 +78,7 @@ impl Excuses {
         excuses.filter(move |(_, until)| now <= *until).map(|(excuse, _)| *excuse)
     }
 
-    /// The excuse for what was doubled, where tokens do not help: all acknowledgements of a stop are alike.
+    /// The excuse for a doubled frame if tokens do not help: all acknowledgements of a stop are alike.
     pub(crate) fn doubling(&self, now: Instant) -> Option<Excuse> {
         self.doubling.filter(|(_, until)| now <= *until).map(|(excuse, _)| excuse)
     }

@@ -1,4 +1,4 @@
-//! What becomes of a frame: the bus takes it or hands it back, a drive hears it, and a reply reaches the master.
+//! What happens to a frame: the bus takes it or hands it back, a drive hears it, and a reply reaches the master.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
@@ -10,7 +10,7 @@ use super::stops::Answers;
 use super::to_all::STOP;
 use super::truth::{DONE, MAY_HAVE_RESTARTED, Truth};
 
-/// What comes earlier than this after its command may be taken for a doubled frame.
+/// A reply that comes earlier than this after its command may pass for a doubled frame.
 const TOO_SOON: Duration = Duration::from_micros(500);
 
 impl Truth {
@@ -35,7 +35,7 @@ impl Truth {
                     if name.moves() && (page.is_stopped || put < page.ended || sending.taken > 0) {
                         self.breaks(format!("{name:X?} moves all, and motor {motor} is stopped"));
                     }
-                    // A motor that does not answer is counted as missing that.
+                    // A motor that does not answer counts as having missed it.
                     let page = self.page(motor);
                     page.answered_newest &= is_stop;
                     if name.moves() {
@@ -106,7 +106,7 @@ impl Truth {
         } else {
             ""
         };
-        // What is refused while it is stopped: reports (0xB6), too.
+        // Commands that a stop refuses. Those are also 0xB6, for reports.
         if is_dangerous || name.byte == 0xB6 {
             (page.is_told, page.tellings) = (false, 0);
         }
@@ -172,12 +172,12 @@ impl Truth {
                 page.answered_and_back += u64::from(is_own && may_be_answered && is_asking(packet));
             }
             if is_stop || is_before {
-                // A command to all belongs to no motor.
+                // A command to all is no motor's own.
                 let is_of_this = is_own && !is_before;
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_of_this));
                 page.tellings = page.tellings.saturating_sub(u32::from(is_own));
                 if is_own && name != page.stop {
-                    // One before this. If only that one had told it, the motor was not told.
+                    // An earlier stop. If only that one was sent to the motor, the motor has no stop now.
                     page.may_be_untold = true;
                     if page.tellings == 0 {
                         (page.is_told, page.was_told) = (false, false);
@@ -188,7 +188,8 @@ impl Truth {
                 // It may be sent again.
                 page.newest_set_point -= 1;
             } else if is_own && name.is_ending() {
-                // As far as the master knows, a request that is over may have told it: its frame can be a stop's.
+                // As far as the master knows, the frame may be a stop's that the motor has had: it looks like a request
+                // that is over.
                 let put = page.sendings.get(&name).map(|sending| sending.put);
                 let is_over = page.ends != put
                     || put < Some(page.stop_called.max(page.may_be_stopping_since));
@@ -198,7 +199,7 @@ impl Truth {
                 page.set_points.handed_back(name.token, now);
             }
         }
-        // It may have been there for long.
+        // It may have been in the controller for long.
         if !was_due && self.is_first_stop_due() {
             self.offers.since = self.world;
         }
@@ -220,7 +221,7 @@ impl Truth {
         let is_own = packet.channel != Channel::Command(Target::All);
         let is_alone = name.is_stop() || is_own;
         let page = self.page(motor);
-        // An answer to a command to all shows nothing of what was sent before.
+        // An answer to a command to all does not show that commands sent before have arrived.
         let ended = page.ended_alone;
         let sending = page.sendings.entry(name).or_default();
         sending.heard += 1;
@@ -228,7 +229,7 @@ impl Truth {
         sending.ignored += u32::from(ignores);
         let sending = *sending;
         let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
-        // On a line two drives with one id take each other's acknowledgements for commands, and may go on forever.
+        // On a line two drives with one id take each other's acknowledgements for commands, maybe forever.
         let is_by_both = has_twin && sending.heard_since > 1;
         if is_by_both || sending.heard > sending.taken && (has_twin || !name.is_stop()) {
             page.excuses.note(question_of(packet), doubled, now, window);
@@ -237,7 +238,7 @@ impl Truth {
             page.excuses.note(question_of(packet), Excuse::LostMasterUntold, now, window);
         }
         if name.is_ending() {
-            // One that ignores it stands still as well: its output is cut.
+            // A drive that ignores it stands still as well, since its output is cut.
             page.stop_heard = moment;
             page.is_told_with_all |= tells && name == page.stop;
             page.endings_heard.insert(name.byte, moment);
@@ -258,9 +259,9 @@ impl Truth {
         }
         let was_ended = sending.put < ended && page.ended_heard >= ended;
         let is_behind = was_ended && !page.is_stopping && !reorders;
-        // By priority a move of all, or one in motion mode, leaves its mailbox after a command that ends motion. Then
-        // that is sent once more, and reported as answered after the move. What another station has made up was in no
-        // mailbox.
+        // By priority a move of all, or one in motion mode, may leave its mailbox after a command that ends motion.
+        // Then that command is sent once more, and reported as answered only after the move. A move that another
+        // station has made up was in no mailbox.
         let is_less_urgent = is_can && (!is_own || name.byte == 0) && !sending.was_never_put();
         let goes_again = is_less_urgent && page.ends == Some(ended);
         if is_behind && goes_again {
@@ -296,7 +297,7 @@ impl Truth {
         let page = self.page(motor);
         // Not in motion mode, where the first byte is an id.
         let is_lost_master = name.byte == 0xF1;
-        // What may pass for an echo need not be taken for one.
+        // A frame that may pass for an echo need not be taken for one.
         page.unanswered = 0;
         if page.answers == Answers::Never {
             page.answers = Answers::Unsure;
@@ -306,11 +307,11 @@ impl Truth {
             page.ignores_next = true;
             page.lost_master_delivered += 1;
         }
-        // What an adapter hands back is nothing that was heard, nor what a drive does that seems to be that.
+        // An echo does not count as hearing the motor, nor does a reply that passes for an echo.
         let is_read_back = takes_read_for_echo && !is_no_echo && page.sendings.contains_key(&name);
         let may_be_echo = copies > 1 || may_pass_for_echo || is_read_back;
         if !may_be_echo || packet.data[3] == DONE || is_lost_master {
-            // Nor does anybody know when that was before, if all that came then may have been such.
+            // If all earlier frames may have been echoes, it is not known when the motor was heard before.
             let unknown = MAY_HAVE_RESTARTED.times(copies - 1);
             let silence = page.delivered_at.map_or(unknown, |before| now - before);
             page.longest_silence = page.longest_silence.max(silence);
@@ -320,7 +321,7 @@ impl Truth {
             page.excuses.note(question, Excuse::EchoesTaken, now, window);
         }
         if name == SHOWS_ECHO {
-            // The answer goes to no caller that asked, unless it comes when it is no longer expected.
+            // The answer goes to no caller, unless it comes when it is no longer expected.
             if now - page.asked_for_echo_at > window {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
             }
@@ -333,10 +334,10 @@ impl Truth {
             || is_no_echo && !page.said.contains(&packet.data))
             && !is_lost_master
         {
-            // A collision may also leave the token as it was.
+            // A collision may also leave the token unchanged.
             page.excuses.note(question, Excuse::MadeUp, now, window);
         } else if name.is_stop() {
-            // All have the same name: it answers the last one, or one before.
+            // All stops have the same name: it answers the last one, or one before.
             let last = page.sendings.get(&name).map(|sending| sending.last_taken);
             if last.is_some_and(|at| now - at > window) {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
@@ -357,7 +358,7 @@ impl Truth {
                 page.answered_newest |= sending.last_taken == page.asked_at;
             }
             if sending.delivered > sending.taken * copies {
-                // Noise may turn it into a frame that its drive hears and answers.
+                // Noise may make a command that the drive hears and answers.
                 let doubled = if sending.was_never_put() { Excuse::MadeUp } else { doubled };
                 page.excuses.note(question, doubled, now, window);
             } else if now - sending.last_taken > window {

@@ -1,4 +1,4 @@
-//! What runs the master: a loop that polls, or an async one in the world's executor, whose futures may be dropped.
+//! The loop that runs the master: polled, or async in the world's executor, with futures that may be dropped.
 
 use embassy_futures::select::{Either, select};
 use myactuator_host_std::sim::bus::World;
@@ -13,7 +13,7 @@ use myactuator_tests::dice::Dice;
 use super::scenarios::{Loop, Scenario};
 use super::world::{Rough, RoughError};
 
-/// A future that is dropped is dropped within this time: several frames of either bus.
+/// A future that is to be dropped is dropped within this time: several frames of either bus.
 const DROPPED_WITHIN_US: u64 = 1_000;
 
 /// A loop of any kind.
@@ -22,13 +22,13 @@ pub(crate) enum Host<W: Rough> {
     Async {
         bus: W::Async,
         world: World<W>,
-        /// Decides what futures are dropped, if any are.
+        /// Decides which futures are dropped, if any are.
         drops: Option<Dice>,
     },
 }
 
 impl<W: Rough> Host<W> {
-    /// This async loop; the scenario says whether its futures are dropped.
+    /// This async loop. The scenario decides whether its futures are dropped.
     pub(super) fn tasks(bus: W::Async, world: &World<W>, scenario: &Scenario) -> Self {
         let drops = scenario.conditions.runs == Loop::AsyncDropped;
         let drops = drops.then(|| Dice::new(scenario.seed ^ 0xD40B));
@@ -42,7 +42,7 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    /// When its loop has to run again. A task's may have been dropped anywhere.
+    /// When a polled loop has to run again. `None` for an async loop, whose future may have been dropped anywhere.
     pub(super) fn wakes_at(&mut self) -> Option<Instant> {
         match self {
             Self::Polled(bus) => bus.master().poll_at(),
@@ -74,7 +74,7 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    /// Waits until then, or until there is something to do. An async loop does that at once.
+    /// Waits until then, or until there is something to do. An async loop also does it.
     pub(super) fn wait(&mut self, until: Instant) -> Result<Option<Event>, RoughError> {
         match self {
             Self::Polled(bus) => {
@@ -90,7 +90,7 @@ impl<W: Rough> Host<W> {
         let Self::Async { bus, world, drops } = self else { return Ok(None) };
         let run = bus.run(Some(until));
         let dropped_after = drops.as_mut().and_then(|dice| {
-            // Some as soon as they wait.
+            // Some are dropped as soon as they wait.
             let after = dice.below(2) * dice.below(DROPPED_WITHIN_US);
             (dice.below(2) == 0).then_some(Duration::from_micros(after))
         });

@@ -1,15 +1,16 @@
-//! The names of frames: each command carries a token, and so does its reply.
+//! The names of frames. Each command carries a token, and so does its reply.
 
 use myactuator_protocol_core::{Channel, Opcode, Packet};
 use myactuator_tests::rig::{STREAM_MARK, token_of};
 
-/// Tokens of requests; numbers below are those of set-points.
+/// Tokens of requests. Smaller numbers are those of set-points.
 pub(crate) const REQUESTS: u32 = 0x0100_0000;
-/// Tokens of what drives report on their own.
+/// Tokens of reports.
 pub(crate) const REPORTS: u32 = 0x3D00_0000;
 /// Tokens of another master.
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
-/// Marks its set-points, whose token comes back in half: in motion mode as the end of the torque.
+/// Marks the other master's set-points, because only half of their token comes back. In motion mode the mark is the
+/// last byte of the torque.
 pub(crate) const STRANGER_MARK: u8 = 9;
 
 /// What distinguishes one command and its replies from all others of a motor.
@@ -71,7 +72,7 @@ impl Name {
     }
 }
 
-/// Whether feedback to this says where the motor is.
+/// Whether the feedback to this command has an angle here.
 pub(crate) fn has_angle(byte: u8) -> bool {
     matches!(byte, 0xA2 | 0xA4)
 }

@@ -15,7 +15,7 @@ use super::sayings::{
 use super::to_all::STOP;
 use super::truth::{DONE, Sending, Truth};
 
-/// A stop is given up after this many.
+/// A stop is given up after this many attempts.
 const STOP_ATTEMPTS: u32 = 15;
 
 /// A request without an outcome so far.
@@ -34,14 +34,14 @@ pub(crate) struct Asked {
     pub(crate) answered: MotorSet,
 }
 
-/// What was reported so far of one motor.
+/// What the master has reported of one motor so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Told {
     pub(crate) no_reply: u64,
     pub(crate) unanswered: u64,
     pub(crate) strays: u64,
     lost_master: u32,
-    /// How many set-points seemed ignored, because an echo passed for what their drive hands back.
+    /// How many set-points seemed ignored, because an echo passed for a command that their drive hands back.
     seemed_ignored: u32,
     /// When its last restart was reported.
     restarted: u64,
@@ -59,7 +59,7 @@ pub(crate) struct Totals {
     pub(crate) stops: u64,
     /// Stops of all that were called again before they were lifted.
     pub(crate) stops_again: u64,
-    /// Commands to all that end motion, and how many motors got one of their own since it was overtaken.
+    /// Commands to all that end motion, and how many motors got one of their own because a stop came before.
     pub(crate) ended_all: u64,
     pub(crate) turned: u64,
     pub(crate) confirmed: u64,
@@ -102,7 +102,7 @@ impl Totals {
     }
 }
 
-/// Compares what is reported with the truth.
+/// Compares the master's events with the truth.
 #[derive(Debug)]
 pub(crate) struct Oracle {
     pub(crate) open: Vec<Option<Open>>,
@@ -163,7 +163,7 @@ impl Oracle {
                     .any(|byte| is_echo_for_answer(motor, &[byte, 0, 0, 0, 0, 0, 0, 0], truth));
                 let page = truth.page(motor);
                 page.turning.was_given_up(now + window);
-                // A drive that has lost its master answers the first command, and has ignored it.
+                // A drive that has lost its master hands back the first command, which it has ignored.
                 if is_echo {
                     page.set_points.seemed_ignored();
                     self.told[motor.index()].seemed_ignored += 1;
@@ -202,7 +202,7 @@ impl Oracle {
                     false => STOP_ATTEMPTS,
                 };
                 if page.is_stopped {
-                    // It goes on, and only its confirmation is still reported.
+                    // The stop goes on. Only its confirmation is still reported.
                     (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
                     page.may_be_untold &= page.stops_taken == 0;
                     (page.stops_taken, page.was_told) = (0, page.is_told);
@@ -257,15 +257,16 @@ impl Oracle {
                 let was_sent = of.taken > 0 || of.was_lost_and_back;
                 was_sent && (!of.was_answered || truth.flips)
             }
-            // One of the two has lost its master, and the other answers.
+            // One of the two drives has lost its master, and the other answers.
             Failure::NotExecuted if truth.twin == Some(motor) => {
                 truth.excuse(Excuse::TwoMotorsOfOneId);
                 true
             }
             Failure::NotExecuted if of.ignored > 0 || truth.flips => true,
-            // What comes back unchanged was handed back, if it is no echo.
+            // A command that comes back unchanged was handed back, if it is no echo.
             Failure::NotExecuted if is_echo_for_answer(motor, &open.data, truth) => true,
-            // It ignored another one, which was not seen. An acknowledgement is the command itself.
+            // The drive ignored another command, unnoticed. An acknowledgement looks like a command that is handed
+            // back.
             Failure::NotExecuted => {
                 let page = &mut truth.pages[motor.index()];
                 let is_next = std::mem::take(&mut page.ignores_next) && !has_values(open.data[0]);
@@ -284,16 +285,16 @@ impl Oracle {
                     || is_move(&open.data) && page.ended_with_all > of.put
                     || was_held
             }
-            // A stop that was given up is sent again, whatever was asked meanwhile.
+            // A stop that was given up is sent again, whatever callers asked meanwhile.
             Failure::StopUnconfirmed => {
                 let page = &truth.pages[motor.index()];
                 page.was_given_up && page.may_be_stopping
             }
-            // It says that the command was dropped. If it may be asked again, the last attempt was dropped.
+            // The command was dropped. If it may be repeated, only its last attempt was dropped.
             Failure::BusDown => {
                 of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
             }
-            // A move that was asked for before its motor was seen to have restarted.
+            // A move that was put before its motor's restart was reported.
             Failure::Dropped => {
                 let is_older = of.put < self.told[motor.index()].restarted;
                 is_move(&open.data) && of.taken == 0 && is_older
@@ -321,7 +322,7 @@ impl Oracle {
             let mut answer = reply.encode();
             answer[3] = DONE;
             if !has_values(data[0]) {
-                // It is reported without its token, so only its drive knows whether it was asked.
+                // The answer is reported without its token, so only the drive knows whether it was asked.
                 return check_was_heard(motor, &data, truth);
             }
             check_answer(motor, &data, &answer, truth);
@@ -338,16 +339,16 @@ impl Oracle {
     ) {
         let (page, told) = (&truth.pages[motor.index()], &self.told[motor.index()]);
         let asking = page.asking;
-        // A set-point that was ignored counts as unanswered, and is not lost. So does one that may have been ignored:
-        // the drive may have ignored the one before, or a command of another master.
+        // An ignored set-point counts as unanswered, but not as lost. So does one that may have been ignored: the drive
+        // may have ignored the one before, or a command of another master.
         let heard = page.sendings.values().map(|sending| sending.ignored);
         let ignored = heard.sum::<u32>() + told.lost_master + told.seemed_ignored;
         let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
         // Counters stay at their largest value.
         let most = u64::from(u16::MAX);
-        // What seemed ignored is neither.
+        // A set-point that seemed ignored is neither answered nor lost.
         let exactly = exactly && !truth.excused.contains_key(&Excuse::EchoesTaken);
-        // Late feedback was reported last, and the newest set-point is on its way.
+        // Late feedback was reported last, and the newest set-point is in flight.
         let is_one_under_way =
             !page.answered_newest && truth.now - page.asked_at < truth.reply_timeout;
         let over = asking.saturating_sub(is_one_under_way.into());
@@ -367,7 +368,7 @@ fn has_no_token(byte: u8) -> bool {
     byte == 0xB6
 }
 
-/// Whether the master repeats it on its own: reads, RAM writes, and what stops.
+/// Whether the master repeats the command on its own: reads, RAM writes, and commands that stop.
 fn is_repeated(byte: u8) -> bool {
     matches!(
         byte,
@@ -392,7 +393,7 @@ pub(super) fn sending(motor: MotorId, data: &Data, truth: &Truth) -> Sending {
     truth.pages[motor.index()].sendings.get(&Name::of(&packet)).copied().unwrap_or_default()
 }
 
-/// Whether an echo of this may have passed for what its drive hands back. Then it is excused.
+/// Whether an echo of this may have passed for a command that its drive hands back. If so, excuses it.
 fn is_echo_for_answer(motor: MotorId, data: &Data, truth: &mut Truth) -> bool {
     let question = question_of(&Packet { channel: Channel::Reply(motor), data: *data });
     let excuses = &truth.pages[motor.index()].excuses;

@@ -1,4 +1,4 @@
-//! What must hold of what a motor is told to have said: an answer, feedback, a confirmation, a report.
+//! Checks what the master reports that a motor has said: an answer, feedback, a confirmation, a report.
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet};
@@ -8,12 +8,12 @@ use super::names::{Name, has_angle, has_values, question_of};
 use super::oracle::sending;
 use super::truth::{DONE, Sending, Truth};
 
-/// An answer must be that motor's to this request, of a drive that has done it.
+/// An answer must be that motor's answer to this request, from a drive that has executed it.
 pub(super) fn check_answer(motor: MotorId, asked: &Data, answer: &Data, truth: &mut Truth) {
     let of = |data: &Data| Packet { channel: Channel::Reply(motor), data: *data };
     let (question, answered) = (Name::of(&of(asked)), Name::of(&of(answer)));
     if truth.flips {
-        // A bit on either way; or that which makes it the answer to another command.
+        // One flipped bit on each way, or a bit that makes it the answer to another command.
         let was_asked = |bit: u8| {
             let mut before = *answer;
             before[0] ^= 1 << bit;
@@ -34,7 +34,7 @@ pub(super) fn check_answer(motor: MotorId, asked: &Data, answer: &Data, truth: &
     });
 }
 
-/// The drive must have heard what it acknowledges: this, or a stop that went over it and is like it.
+/// The drive must have heard the command that it acknowledges: this one, or an equal stop that overtook it.
 pub(super) fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
     let page = &truth.pages[motor.index()];
     let heard = page.endings_heard.get(&asked[0]).copied();
@@ -44,7 +44,7 @@ pub(super) fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
     }
 }
 
-/// Of a request that ends motion: the drive must have heard it behind whatever move came out of a mailbox.
+/// The drive must have heard a request that ends motion after any move that came out of a mailbox.
 pub(super) fn check_ended(motor: MotorId, asked: &Data, truth: &mut Truth) {
     let page = &truth.pages[motor.index()];
     if page.moved_behind > page.stop_heard && !truth.flips {
@@ -53,7 +53,7 @@ pub(super) fn check_ended(motor: MotorId, asked: &Data, truth: &mut Truth) {
     }
 }
 
-/// Whether something holds that excuses what is wrong with an answer to this; else it is broken.
+/// Returns the excuse for a wrong answer to this. Without an excuse something is broken.
 fn excused_or(
     motor: MotorId,
     asked: &Packet,
@@ -70,8 +70,8 @@ fn excused_or(
     excuse
 }
 
-/// Feedback must be that motor's, to a set-point that it has executed, or late to a request of the same
-/// kind: it says how the motor is, and not which of them it is about.
+/// Feedback must be that motor's, to a set-point that it has executed, or late to a request of the same kind. Feedback
+/// shows the motor's state, but not the command to which it belongs.
 pub(super) fn check_feedback(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     let data = reply.encode();
     let is_motion = matches!(reply, AnyReply::Motion(_));
@@ -86,13 +86,13 @@ pub(super) fn check_feedback(motor: MotorId, reply: &AnyReply, truth: &mut Truth
     let excuse =
         excused_or(motor, &packet, truth, || format!("motor {motor}: {reply:?} is no feedback"));
     if let Some(made_up) = excuse.filter(|excuse| *excuse != Excuse::Doubled) {
-        // From such a place it jumps back.
+        // From such an angle it jumps back.
         let now = truth.now;
         truth.page(motor).misled = Some((made_up, now));
     }
 }
 
-/// Where the motor says it is.
+/// Notes the angle that the motor reports.
 fn note_angle(motor: MotorId, data: &Data, sending: &Sending, truth: &mut Truth) {
     if truth.flips || truth.twin == Some(motor) {
         return;
@@ -106,7 +106,7 @@ fn note_angle(motor: MotorId, data: &Data, sending: &Sending, truth: &mut Truth)
     page.turning.told(i16::from_le_bytes([data[6], data[7]]), is_certain, now, window);
 }
 
-/// The drive must have heard a stop since it was called for.
+/// The drive must have heard a stop since the stop was called.
 pub(super) fn check_confirmed(motor: MotorId, truth: &mut Truth) {
     let now = truth.now;
     let page = &mut truth.pages[motor.index()];
@@ -131,13 +131,13 @@ pub(super) fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) 
     let data = reply.encode();
     let packet = Packet { channel: Channel::Reply(motor), data };
     let reports = &truth.pages[motor.index()].reports;
-    // Motors that are not expected to also answer a broadcast. And errors are reported even if they come late.
+    // Motors that are not expected to answer a broadcast may also answer. And late errors are reported.
     let has_errors = data[0] == 0x9A && data[6..] != [0, 0];
     let may_come = |it: &Sending| it.heard > 0 && (it.put == 0 || has_errors);
     let is_unexpected =
         truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(may_come);
     let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)
-        // Of an error, the voltage comes back, and not all bits of the flags.
+        // Of an error report, the voltage comes back, but not all bits of the flags.
         || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);
     if !is_report && !truth.flips {
         excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} by itself"));

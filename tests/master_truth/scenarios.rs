@@ -1,4 +1,4 @@
-//! What a run consists of: one trouble and how often it strikes, and the conditions with which it is combined.
+//! A run: one trouble, how often it strikes, and the conditions with which it is combined.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use myactuator_tests::wire::Wire;
 /// The troubles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Trouble {
-    /// By chance, both ways.
+    /// Random, in both directions.
     Lose,
     Corrupt,
     /// CAN: half of the corrupted frames pass the CRC.
@@ -22,10 +22,10 @@ pub(crate) enum Trouble {
     DoubleAll,
     Delay,
     Reorder,
-    /// All of the above but undetected corruption and doubled commands, at a fifth each.
+    /// All of the above except undetected corruption and doubled commands, at a fifth of the rate each.
     All,
-    /// By hand, for that share of the time: a drive's wire is cut, a drive is slow, a station babbles. Or that often in
-    /// a hundred times a drive's power is cycled.
+    /// By hand, for that share of the time: a drive's wire is cut, a drive is slow, a station babbles, or a drive is
+    /// restarted at the beginning of that time.
     Cut,
     Slow,
     Babble,
@@ -51,16 +51,16 @@ pub(crate) enum Echo {
 /// The load from callers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Pace {
-    /// The bus is busy but never full: on a full CAN bus the replies of the highest ids wait.
+    /// The bus is busy but never full. (On a full CAN bus the replies of the highest ids wait.)
     #[default]
     Busy,
     /// More than the bus carries.
     Flood,
-    /// Now and then nothing at all.
+    /// Now and then no load at all.
     Rests,
 }
 
-/// What runs the master.
+/// The loop that runs the master.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Loop {
     #[default]
@@ -70,24 +70,24 @@ pub(crate) enum Loop {
     AsyncDropped,
 }
 
-/// The properties of a world. The default is a kind one.
+/// The properties of a world. In the default nothing goes wrong.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Conditions {
-    /// What was received is handed over every so many milliseconds.
+    /// Received frames and bytes are handed over once in this many milliseconds.
     pub(crate) burst_ms: u64,
     /// The clock has a resolution of 1 ms.
     pub(crate) coarse_clock: bool,
     pub(crate) clock_start_ms: u64,
     /// Now and then the caller does not look for an hour.
     pub(crate) jumps: bool,
-    /// A CAN controller with three mailboxes by priority, and not a queue of ten.
+    /// A CAN controller with three mailboxes by priority, instead of a queue of ten.
     pub(crate) mailboxes: bool,
-    /// The port refuses what is to be sent for a while.
+    /// The port refuses to send for a while.
     pub(crate) refuses: bool,
     /// Any call of the port may fail.
     pub(crate) fails: bool,
     pub(crate) echo: Echo,
-    /// What happens to an echo, and how often in a hundred times.
+    /// The trouble of echoes, and its rate in percent.
     pub(crate) echo_trouble: Option<(Trouble, u32)>,
     /// Each switch of direction may be heard as a byte.
     pub(crate) noise: bool,
@@ -95,31 +95,31 @@ pub(crate) struct Conditions {
     pub(crate) twins: bool,
     /// Another master asks the first motor.
     pub(crate) stranger: bool,
-    /// And moves it.
+    /// It also moves that motor.
     pub(crate) stranger_moves: bool,
-    /// And does so with any motor; on CAN in motion mode, too.
+    /// It asks and moves any motor, on CAN also in motion mode.
     pub(crate) stranger_roams: bool,
-    /// Drives have run for long when the master begins, each for another time.
+    /// Drives have run for long when the master begins, each for a different time.
     pub(crate) have_run: bool,
-    /// Drives restart, on their own and on command, and that takes them 1.1 s.
+    /// Drives restart, on their own and on command. A restart takes 1.1 s.
     pub(crate) restarts: bool,
     /// Drives lose their master.
     pub(crate) lost_masters: bool,
-    /// Drives report on their own: errors, and what they were told to.
+    /// Drives send reports: errors, and active replies.
     pub(crate) reports: bool,
-    /// Drives answer twice, and to what they do not know.
+    /// Drives answer twice, and answer unknown commands.
     pub(crate) repeats: bool,
     pub(crate) pace: Pace,
     pub(crate) runs: Loop,
     /// No caller stops anything, or sends anything to all.
     pub(crate) is_plain: bool,
-    /// All are told at once to end their motion, and single motors are stopped just then.
+    /// Commands to all end motion, and single motors are stopped at the same time.
     pub(crate) ends_all: bool,
-    /// A caller that stops all does so again in every cycle.
+    /// A caller that stops all repeats that in every cycle.
     pub(crate) stops_again: bool,
-    /// Drives do not hear commands to all (function 2), each by chance.
+    /// Random drives do not hear commands to all (function 2).
     pub(crate) deaf_to_all: bool,
-    /// Now and then the master's own wire is cut, so that nothing acknowledges what is in its mailboxes.
+    /// Now and then the master's own wire is cut, so that nothing acknowledges the frames in its mailboxes.
     pub(crate) cuts_master: bool,
 }
 
@@ -142,13 +142,13 @@ impl fmt::Display for Scenario {
 }
 
 impl Scenario {
-    /// In a kind world except for this trouble.
+    /// A world in which nothing goes wrong except for this trouble.
     pub(crate) fn of(trouble: Trouble, percent: u32, motors: u8, requests: u64) -> Self {
         let seed = trouble as u64 * 1_000_000 + u64::from(percent) * 1_000 + u64::from(motors);
         Self { trouble, percent, motors, requests, seed, conditions: Conditions::default() }
     }
 
-    /// Any combination.
+    /// Any combination, drawn by the seed.
     pub(crate) fn drawn<W: Wire>(seed: u64, requests: u64) -> Self {
         let mut dice = Dice::new(seed);
         let mut one_of = |choices: &[u64]| choices[dice.below(choices.len() as u64) as usize];
@@ -194,7 +194,7 @@ impl Scenario {
         }
         let loops = [Loop::Polled, Loop::Async, Loop::AsyncDropped];
         conditions.runs = loops[one_of(&[0, 0, 1, 2]) as usize];
-        // Additions are drawn last, so that a seed always means the same for the rest of its world.
+        // Additions are drawn last, so that the rest of a seed's world stays the same.
         conditions.ends_all = one_of(&[0, 1]) == 1;
         conditions.stops_again = one_of(&[0, 0, 0, 1]) == 1;
         conditions.deaf_to_all = is_can && one_of(&[0, 0, 1]) == 1;
@@ -211,7 +211,7 @@ impl Scenario {
         Self { trouble, percent, motors, requests, seed, conditions }
     }
 
-    /// The world that this seed drew before there was more to draw.
+    /// The world that this seed drew before there were additions.
     pub(crate) fn as_first_drawn(mut self) -> Self {
         let c = &mut self.conditions;
         (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
@@ -224,7 +224,7 @@ impl Scenario {
         self
     }
 
-    /// Only drives that are asked send anything.
+    /// Nothing sends except drives that are asked.
     fn keep_the_line_to_the_master(&mut self) {
         if self.trouble.is_by_hand() {
             self.trouble = Trouble::Lose;
@@ -234,20 +234,20 @@ impl Scenario {
             (false, false, false, false, false);
     }
 
-    /// The master's configuration. It has to say if frames may be held back for longer than usual.
+    /// The master's configuration, which must allow for frames that are held back for longer than usual.
     pub(crate) fn config<W: Wire>(&self) -> Config {
         let mut config = W::CONFIG;
         if let myactuator_protocol_core::master::Bus::Rs485 { echo, .. } = &mut config.bus {
             *echo = self.conditions.echo == Echo::Configured;
         }
-        // On a CAN bus where every other frame breaks, controllers leave the bus and come back, and
-        // frames wait in them meanwhile.
+        // On a CAN bus where every other frame breaks, controllers go bus-off and recover. Frames stay in them
+        // meanwhile.
         let breaks = matches!(self.trouble, Trouble::Corrupt | Trouble::Undetected);
         if W::NAME == "CAN" && breaks && self.percent >= 50 {
             config.late_window = Duration::from_millis(1_000);
         }
         if self.conditions.coarse_clock {
-            // An answer within the tick of its command takes no time at all.
+            // An answer within the clock step of its command seems to take no time.
             config.shortest_response = Duration::ZERO;
         }
         if self.conditions.burst_ms > 0 {

@@ -1,5 +1,5 @@
-//! The first sending of each stop is in time, in any world: as soon as the port takes it, and before anything else. The
-//! stop of a motor that answers comes before that of one that does not.
+//! Checks that each stop is first sent in time, in any world: as soon as the port takes it, and before anything else.
+//! The stop of a motor that answers comes before that of one that does not.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::Packet;
@@ -11,12 +11,12 @@ use super::names::Name;
 use super::to_all::SHUTDOWN;
 use super::truth::{Page, Truth};
 
-/// A port that refused is offered the stop again after 1 ms. A caller that had an error or events to take first does
-/// not look meanwhile.
+/// If a port refuses the stop, it is offered again after 1 ms. A caller that takes an error or events first does not
+/// look meanwhile.
 const NEXT_OFFER: Duration = Duration::from_micros(1_500);
 /// Longer than the time-out of any other reply.
 const ROM_TIMEOUT: Duration = Duration::from_millis(20);
-/// A motor that left this many commands in a row unanswered counts as dead.
+/// A motor that has not answered this many commands in a row counts as dead.
 const IS_DEAD: u32 = 5;
 
 /// How well a motor answered when it was stopped, as far as that is certain.
@@ -26,25 +26,25 @@ pub(crate) enum Answers {
     Well,
     #[default]
     Unsure,
-    /// It answered nothing for a long time.
+    /// It has answered nothing for a long time.
     Never,
 }
 
-/// The one stop to all that is sent before each motor's own. It also reaches motors that are not known.
+/// The one stop to all that is sent before the motors' own stops. It also reaches motors that are not known.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct StopToAll {
-    /// It is to go.
+    /// The kind that must be sent.
     due: Option<StopKind>,
-    /// What went last.
+    /// The kind that was sent last.
     went: Option<StopKind>,
-    /// All were moved at once, and some of them may not be known.
+    /// A command to all has moved motors, some of which may not be known.
     were_moved: bool,
 }
 
-/// When the port has to be offered a first stop, in the world's time.
+/// When the port must be offered a first stop, in the world's time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Offers {
-    /// Within this after the last time, or after the stop was called.
+    /// Within this time after the last offer, or after the stop was called.
     within: Duration,
     pub(super) since: Instant,
 }
@@ -62,29 +62,29 @@ impl Offers {
         Self { within, since: Instant::ZERO }
     }
 
-    /// Some requests have a longer time-out on a line, as a write to ROM does: a command that no firmware knows.
+    /// On a line a command that no firmware knows has a longer time-out, like a write to ROM.
     pub(crate) fn unknown_commands_are_asked(&mut self) {
         self.within = self.within + ROM_TIMEOUT;
     }
 }
 
 impl Truth {
-    /// Not if a flipped bit may make an answer to the stop to all: then a motor's own may wait.
+    /// Never due if flipped bits may fake an answer to the stop to all: then a motor's own stop may wait.
     pub(super) fn is_first_stop_due(&self) -> bool {
         let waits =
             self.stop_to_all.due.is_some() || self.pages.iter().any(Page::waits_for_first_stop);
         !self.flips && waits
     }
 
-    /// A caller stops all, and may or may not have lifted an earlier stop: whether a stop is also sent to all at once.
-    /// It is not if it would hold a motor that a stop keeps off. If it is called again, and nothing was moved since, it
-    /// is not repeated.
+    /// A caller stops all, and may or may not have lifted an earlier stop. Decides whether a stop to all must be sent,
+    /// too. It is not sent if it would hold a motor that a stop keeps off. If all are stopped again, and nothing was
+    /// moved since, it is not repeated.
     pub(super) fn stops_all(&mut self, kind: StopKind, is_again: bool) {
         let holds_who_is_off = kind == StopKind::Hold && !self.switched_off.is_empty();
         let known = self.known.iter().map(|motor| &self.pages[motor.index()]);
         let is_any_moved = known.clone().any(|page| !page.is_told && !page.is_stopping);
         let is_new = !is_again && (self.stop_to_all.went != Some(kind) || is_any_moved);
-        // On CAN, motors that are not known can only have been moved by a command to all.
+        // On CAN, only a command to all can have moved motors that are not known.
         let is_needed = !self.stop_to_all_is_answered || self.stop_to_all.were_moved;
         if is_needed && is_new && !holds_who_is_off {
             if !self.is_first_stop_due() {
@@ -92,12 +92,12 @@ impl Truth {
             }
             self.stop_to_all.due = Some(kind);
         } else if kind == StopKind::Off {
-            // It holds no motor any more, and motors without a place were off before.
+            // No motor is to be held any more, and motors without a place were off before.
             self.stop_to_all.due.take_if(|due| *due == StopKind::Hold);
         }
     }
 
-    /// The bus has taken something to all.
+    /// The bus has taken a command to all.
     pub(super) fn all_are_told(&mut self, name: Name) {
         let it = &mut self.stop_to_all;
         it.were_moved |= name.moves();
@@ -107,7 +107,7 @@ impl Truth {
         }
     }
 
-    /// A caller has lifted the stop of these.
+    /// A caller has lifted the stop of these motors.
     pub(crate) fn lift(&mut self, motors: MotorSet) {
         self.switched_off = MotorSet::EMPTY;
         for motor in motors.iter() {
@@ -118,7 +118,7 @@ impl Truth {
 
     pub(super) fn answers(&mut self, motor: MotorId) -> Answers {
         let (now, window) = (self.now, self.late_window);
-        // A motor that has not answered a command to all has missed it when its time is up.
+        // A motor that does not answer a command to all in time has missed it.
         let is_asked_with_all = self.last_to_all.is_some_and(|at| now - at <= window);
         let is_in_doubt = self.flips || self.echoes || self.twin == Some(motor);
         let page = self.page(motor);
@@ -131,7 +131,7 @@ impl Truth {
         }
     }
 
-    /// The port is offered this; `None` for what goes to no motor.
+    /// The port is offered this packet; `None` for bytes without one.
     pub(crate) fn offered(&mut self, packet: Option<&Packet>) {
         if !self.is_first_stop_due() {
             return;
@@ -141,8 +141,8 @@ impl Truth {
         if took > within {
             self.breaks(format!("no first stop is tried for {took}, and not {within}"));
         }
-        // Whether there is an echo is asked of a motor that seems to be there. Otherwise each would be waited for in
-        // vain.
+        // The read that shows an echo may go first, to a motor that seems to be there. Without it, each stop would wait
+        // for an echo in vain.
         let asks = |packet: &Packet| shows_echo(packet) && self.doubt.is_open();
         if let Some(packet) = packet.filter(|packet| !self.is_stop(packet) && !asks(packet)) {
             self.breaks(format!("{packet:X?} goes before a first stop"));
@@ -150,12 +150,12 @@ impl Truth {
         self.offers.since = self.world;
     }
 
-    /// The port has held what it was offered until now, or no caller has looked.
+    /// The port has held an offered packet until now, or no caller has looked.
     pub(crate) fn nobody_could_offer(&mut self) {
         self.offers.since = self.world;
     }
 
-    /// A stop was taken: every motor gets its first stop before any gets its second, and in time.
+    /// The bus has taken a stop. Every motor must get its first stop in time, and before any motor gets its second.
     pub(super) fn check_stops(&mut self, motor: MotorId) {
         if self.stop_to_all.due.is_some() && !self.flips {
             self.breaks(format!("motor {motor} is stopped, and all are to be first"));
@@ -180,7 +180,7 @@ impl Truth {
         }
         let (now, within) = (self.now, self.first_stops_within);
         let page = self.page(motor);
-        // What only may stop it was not called for by then.
+        // A stop that only may be in flight has no time of its call.
         let is_called = page.is_stopping && !is_second;
         let took = now - page.stop_called_at;
         if let Some(within) = within.filter(|within| is_called && took > *within) {

@@ -1,5 +1,5 @@
-//! Commands to all, and what becomes of those that end motion. Nothing older moves a motor after one. If one motor is
-//! stopped on its own before the command is sent, the others get it separately, as a stop.
+//! Commands to all, and what becomes of those that end motion. After one, nothing older moves a motor. If one motor is
+//! stopped on its own before the command is sent, the others get the command separately, as a stop.
 
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
@@ -12,9 +12,9 @@ use super::truth::Truth;
 pub(super) const SHUTDOWN: u8 = 0x80;
 pub(super) const STOP: u8 = 0x81;
 
-/// How long a stop waits, at the longest, for what it pushes aside.
+/// The longest that a stop waits for commands that it pushes aside.
 const STOP_TAKES: Duration = Duration::from_millis(100);
-/// A stop of which this many were sent may be over, and that not reported yet.
+/// A stop with this many attempts may be over, which was not reported yet.
 const STOP_ATTEMPTS: u32 = 15;
 
 /// The newest command to all of a caller.
@@ -23,25 +23,25 @@ pub(crate) struct ToAll {
     name: Name,
     /// How often the bus took it and did not hand it back.
     pub(crate) taken: u32,
-    /// The motors that were stopped since, to be held and to be off.
+    /// The motors that were stopped since: those to be held and those to be off.
     held: MotorSet,
     off: MotorSet,
-    /// The bus may have been down while it waited, so that it was dropped.
+    /// The bus may have been down while it was pending, so it may have been dropped.
     may_be_dropped: bool,
-    /// It is not to be sent to all any more: all were stopped, or each gets its own.
+    /// It must not be sent to all any more, because all were stopped or each motor gets its own.
     is_over: bool,
 }
 
 impl ToAll {
-    /// Whether a caller may be told that it was not sent.
+    /// Whether the master may report that it was not sent.
     pub(crate) fn may_be_unsent(&self) -> bool {
         !self.name.is_ending() || self.is_over || self.may_be_dropped
     }
 }
 
 impl Truth {
-    /// A caller has given this to the master, for all. These motors have a request to be held in flight, as far as the
-    /// caller knows.
+    /// A caller has put this command, for all. `holding`: the motors that have a request to hold in flight, as far as
+    /// the caller knows.
     pub(crate) fn put_to_all(&mut self, data: &Data, known: MotorSet, holding: MotorSet) {
         self.clocks.disturb(Quiet::Calm);
         let put = self.next_moment();
@@ -71,26 +71,26 @@ impl Truth {
             }
             page.let_go = put;
             if page.is_stopping && page.stop.byte == STOP {
-                // Then it is to be off.
+                // Then the motor is to be off.
                 (page.stop.byte, page.stop.token) = (SHUTDOWN, 0);
                 page.is_begun_anew = true;
             } else if !page.is_stopping
                 && (holding.contains(motor) || page.may_be_stopping && page.stop.byte == STOP)
             {
-                // Unless that is over and not reported yet, or was dropped.
+                // Unless that request is over and not reported yet, or was dropped.
                 page.may_be_stopping(Name { byte: SHUTDOWN, token: 0 }, put);
             }
         }
         if name.is_ending() {
-            // A command that holds goes to no motor that a stop keeps off.
+            // A command to hold must not reach a motor that a stop keeps off.
             self.undo_nobody();
         }
     }
 
-    /// The bus has taken a command to all that is none of the master's own stops.
+    /// The bus has taken a caller's command to all, not one of the master's own stops.
     pub(super) fn caller_reaches_all(&mut self, name: Name) {
         if name.byte == STOP {
-            // A motor that was let go before is held now, and may be held again.
+            // A motor that was off before is held now, and may be held again.
             self.pages.iter_mut().for_each(|page| page.let_go = 0);
         }
         let wrong = match &mut self.to_all {
@@ -105,30 +105,30 @@ impl Truth {
         }
     }
 
-    /// The controller has handed it back: it is sent once more, or each motor gets its own.
+    /// The controller has handed it back. It is sent once more, or each motor gets its own.
     pub(super) fn what_all_were_told_is_back(&mut self, name: Name) {
         let Some(it) = self.to_all.as_mut().filter(|it| it.name == name) else { return };
         it.taken -= 1;
-        // So far it waited for nothing that may drop it.
+        // Nothing has happened yet that may drop it.
         (it.may_be_dropped, it.is_over) = (false, false);
         self.undo_nobody();
     }
 
-    /// Whether a command that ends the motion of all was handed back, and is sent once more: nothing else goes to all
-    /// meanwhile.
+    /// Whether a command that ends the motion of all was handed back and is sent once more. Meanwhile nothing else goes
+    /// to all.
     pub(crate) fn all_are_told_again(&self) -> bool {
         let goes = |it: ToAll| it.taken == 0 && !it.is_over && !it.may_be_dropped;
         self.to_all.is_some_and(|it| it.name.is_ending() && goes(it))
     }
 
-    /// What waits may have been dropped.
+    /// The command may have been dropped, if it is pending.
     pub(super) fn what_all_were_told_may_be_dropped(&mut self) {
         if let Some(it) = &mut self.to_all {
             it.may_be_dropped |= it.taken == 0;
         }
     }
 
-    /// A caller tells one motor to end its motion.
+    /// A caller ends the motion of one motor.
     pub(crate) fn ends_alone(&mut self, motor: MotorId, byte: u8) {
         let Some(it) = &mut self.to_all else { return };
         let (set, other) =
@@ -140,8 +140,8 @@ impl Truth {
         }
     }
 
-    /// A command that ends the motion of all, and was not sent, would undo a stop of one motor: the others get their
-    /// own.
+    /// If a pending command that ends the motion of all would undo a stop of one motor, the other motors get their own
+    /// instead.
     fn undo_nobody(&mut self) {
         let Some(it) = self.to_all else { return };
         let undone = match it.name.byte {
@@ -167,7 +167,7 @@ impl Truth {
         }
     }
 
-    /// A caller has stopped these: one, or all.
+    /// A caller has stopped these motors: one, or all.
     pub(crate) fn stop(&mut self, motors: MotorSet, kind: StopKind, is_all: bool, known: MotorSet) {
         self.known = known;
         if let Some(it) = self.to_all.as_mut().filter(|it| it.taken == 0 && is_all) {
@@ -189,15 +189,15 @@ impl Truth {
             page.stop_asked = asked;
             page.set_points.may_be_dropped();
             let is_again = std::mem::replace(&mut page.is_stopped, true);
-            // Nothing moves it before that is over, whether it was lifted or not.
+            // Nothing moves the motor before its stop is over, lifted or not.
             let goes_on = page.is_stopping && page.stop.byte == byte;
             let stop = Name { byte, token: 0 };
-            // What may be in flight goes on, but not as a stop of another kind.
+            // A stop that may be in flight goes on, if it is of this kind.
             let others = page.other_stops.iter();
             let is_unsure = (page.may_be_stopping || others.len() > 0)
                 && others.chain([&page.stop]).any(|other| other.byte == byte);
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
-                // Unless it is over and not reported yet.
+                // Unless the stop is over and not reported yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
                 if page.stop.byte != byte {
                     page.other_stops.push(page.stop);
@@ -209,7 +209,7 @@ impl Truth {
         }
     }
 
-    /// The stop that was to hold this motor is over, since all are let go: it is to be off, by a stop of its own.
+    /// The request to hold this motor is over, because all are let go. A stop of its own switches it off.
     pub(crate) fn is_let_go(&mut self, motor: MotorId) {
         let (was_due, now, world) = (self.is_first_stop_due(), self.now, self.world);
         let steady = self.clocks.steady;
@@ -225,7 +225,7 @@ impl Truth {
         }
     }
 
-    /// This tells a motor to stop that was not told; or it was, and is told again before that was lifted.
+    /// Begins a stop of a motor. `is_again`: the motor is stopped already, and that was not lifted.
     fn begin_stop(&mut self, motor: MotorId, stop: Name, is_again: bool) {
         if !self.is_first_stop_due() {
             self.offers.since = self.world;
@@ -240,7 +240,7 @@ impl Truth {
         }
         page.other_stops.clear();
         page.stop_before = page.is_stopping.then_some(page.stop);
-        // What may be in flight already may go on in its place, with the attempts that it has left.
+        // A stop that may be in flight already may go on in its place, with its remaining attempts.
         page.is_begun_anew = page.may_be_stopping;
         let goes_on = page.may_be_stopping && page.stop.byte == stop.byte;
         let taken = if goes_on { page.stops_taken } else { 0 };
