@@ -1,4 +1,4 @@
-//! The master against simulated drives. The program `master_truth` has the long runs.
+//! The master with simulated drives. The program `master_truth` has the long runs.
 
 mod masters {
     mod application;

@@ -1,4 +1,4 @@
-//! The application of the example firmware against simulated drives, on both buses.
+//! The application of the example firmware with simulated drives, on both buses.
 
 mod brakes;
 mod heard;
@@ -35,7 +35,7 @@ on_both_buses! {
     a_motor_with_an_error_stops_all
     a_motor_of_another_firmware_is_not_moved
     a_motor_of_a_firmware_that_was_tried_is_moved
-    a_dead_bus_is_told_and_only_the_button_ends_that
+    a_dead_bus_is_reported_and_only_the_button_ends_that
     a_long_press_shuts_down
     a_motor_that_is_not_seen_does_not_feed_the_watchdog
     a_contact_that_bounces_at_the_stop_starts_nothing
@@ -155,7 +155,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
         }
     }
 
-    /// Runs until this is reported from now on.
+    /// Runs until this is reported, from now on.
     #[track_caller]
     fn run_until(&mut self, report: Report, within: Duration) {
         let (told, end) = (self.panel.reports.len(), self.runner.now() + within);
@@ -172,7 +172,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
         self.run_for(millis(2));
     }
 
-    /// What is reported from now on.
+    /// Drops the reports so far.
     fn forget(&mut self) {
         self.panel.reports.clear();
     }
@@ -189,7 +189,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
         self.bus.drives.iter().any(|drive| speed_dps(drive).abs() > 1.0)
     }
 
-    /// Nothing turns now or in the next second, and nothing starts on its own.
+    /// Waits for 1.1 s. Asserts that in the second after that nothing turns and nothing is reported.
     #[track_caller]
     fn stays_stopped(&mut self) {
         self.run_for(millis(1_100));
@@ -269,7 +269,7 @@ fn motors_are_named_and_reach_both_ends<B: Moved>() {
     });
     let (cycles, overruns, slowest, lost) = last.expect("six seconds");
     assert!((4_990..=6_010).contains(&cycles), "{cycles}");
-    // Four motors share one line or bus, and the questions of the rounds take a part of it.
+    // Four motors share one bus, and the application's reads take a part of it.
     assert!((180..=1_010).contains(&slowest), "{slowest}");
     let seconds = told_by(&firmware, |report| matches!(report, Report::Second { .. }));
     assert!((5..=6).contains(&seconds), "{seconds}");
@@ -365,7 +365,7 @@ fn a_motor_of_a_firmware_that_was_tried_is_moved<B: Moved>() {
     firmware.run_until(Report::State(StateName::Running), millis(2_000));
 }
 
-fn a_dead_bus_is_told_and_only_the_button_ends_that<B: Moved>() {
+fn a_dead_bus_is_reported_and_only_the_button_ends_that<B: Moved>() {
     let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
@@ -392,7 +392,7 @@ fn a_long_press_shuts_down<B: Moved>() {
     assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
 
-/// Whether a question that comes soon shows that it is missing, or only its unanswered set-points.
+/// For every motor: for some a read soon shows that it is missing, for others only unanswered set-points do.
 fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
     let missed_after = (0..8).map(|index| {
         let bus = B::drives(&Fleet::new(8)).unwrap();
@@ -410,7 +410,7 @@ fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
     assert!(last > millis(60), "this shows nothing: {last}");
 }
 
-/// The button goes down, and bounces: closed for a millisecond, open for one, then held.
+/// The button goes down and bounces: closed for a millisecond, open for one, then held.
 fn bounce_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
     for is_down in [true, false, true] {
         firmware.panel.is_button_down = is_down;
@@ -456,7 +456,7 @@ fn a_press_while_stopping_starts_nothing<B: Moved>() {
     unplug(&bus, &bus.drives[2]);
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
     firmware.forget();
-    // A person sees it and presses the button, too.
+    // A person sees that and presses the button, too.
     firmware.panel.is_button_down = true;
     firmware.run_until(Report::State(StateName::Stopped), millis(1_100));
     firmware.panel.is_button_down = false;
@@ -470,7 +470,7 @@ fn a_press_while_stopping_starts_nothing<B: Moved>() {
 
 fn a_motor_that_missed_its_stop_is_stopped_when_it_is_back<B: Moved>() {
     let bus = B::drives(&Fleet::new(4)).unwrap();
-    // So slow that it is a long way behind its set-points.
+    // So slow that it lags far behind its set-points.
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(5) });
     let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
     firmware.run_for(millis(1_500));
@@ -557,7 +557,7 @@ fn a_firmware_that_has_restarted_keeps_its_motors_holding<B: Moved>() {
     }
 }
 
-/// What no simulated bus causes on its own is reported to the application directly.
+/// The application receives these events directly, because no simulated bus causes them on its own.
 fn whatever_is_wrong_while_motors_run_stops_them<B: Moved>() {
     let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
     let hot = Status1 {
@@ -600,7 +600,7 @@ fn a_late_cycle_is_counted_and_does_not_feed_the_watchdog<B: Moved>() {
         let now = due + Duration::from_micros(late_us);
         app.begin_cycle(&mut Moment { now, master: runner.master(), board: panel });
         assert_eq!(panel.fed - before, fed, "{late_us} us late");
-        // The next one begins a cycle later, however late this one was.
+        // The next cycle begins a millisecond after this one was due. If this one was too late, it counts from now.
         let next = if fed == 1 { due } else { now } + millis(1);
         assert_eq!(app.next_cycle(), next);
     }

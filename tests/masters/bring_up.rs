@@ -1,4 +1,4 @@
-//! First contact and safe ways of working, with whole simulated drives, on both buses.
+//! First contact and safe ways of working, with complete simulated drives, on both buses.
 
 use std::fmt::Debug;
 
@@ -27,7 +27,7 @@ use myactuator_tests::values::{id, millis, push, turn};
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
-    a_scan_tells_who_is_there
+    a_scan_finds_the_motors_that_are_there
     a_motor_that_is_being_asked_is_not_there_before_it_answers
     a_motor_tells_what_it_is
     a_newer_motor_has_no_model_to_tell
@@ -46,20 +46,20 @@ on_both_buses! {
     a_brake_is_open_before_torque_comes
     a_brake_opens_under_a_protection_that_is_shorter
     a_brake_opens_though_its_drive_had_lost_its_master
-    no_brake_is_opened_behind_which_nothing_would_hold
+    no_brake_is_opened_if_its_motor_cannot_hold
     a_load_stays_where_it_is
     what_a_brake_does_not_hold_its_motor_holds_again
-    who_may_not_open_a_brake_that_slips_says_so
-    what_slips_only_when_the_motor_is_off_is_told
+    a_slipping_brake_that_may_not_be_opened_is_reported
+    a_brake_that_slips_only_when_the_motor_is_off_is_reported
     what_falls_is_caught_by_its_brake_alone
     what_a_motor_holds_its_brake_holds_while_it_is_switched_off
-    no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told
+    no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported
     a_protected_motor_stops_when_nobody_speaks
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
-    who_does_not_answer_what_follows_a_write_may_have_kept_it
-    a_drive_that_answers_as_its_new_id_is_told_again_to_restart
+    a_motor_that_falls_silent_after_a_write_may_have_kept_it
+    the_restart_of_a_drive_that_answers_as_its_new_id_is_sent_again
 }
 
 fn ids(numbers: impl IntoIterator<Item = u8>) -> MotorSet {
@@ -70,7 +70,7 @@ fn read_angle<R: Runner<8, Error: Debug>>(runner: &mut R) -> f32 {
     runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees()
 }
 
-fn a_scan_tells_who_is_there<W: Wire>() {
+fn a_scan_finds_the_motors_that_are_there<W: Wire>() {
     let bus = W::drives(&Fleet::new(5)).unwrap();
     let runner = &mut master(&bus);
     let mut told = Vec::new();
@@ -79,7 +79,7 @@ fn a_scan_tells_who_is_there<W: Wire>() {
     told.sort_unstable();
     let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
     assert_eq!(told, expected, "each is told of once");
-    // So that a stop of all reaches them. The places of ids without a motor are free again.
+    // They keep their places, so that a stop of all reaches them. The places of ids without a motor are free again.
     assert_eq!(runner.master().motors(), ids(1..=5));
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
     assert_eq!(runner.master().motors(), ids(1..=5));
@@ -88,7 +88,7 @@ fn a_scan_tells_who_is_there<W: Wire>() {
 fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
-    // Both are being asked already; only motor 1 is there to answer.
+    // Requests to both are in flight already. Only motor 1 is there to answer.
     for motor in [id(1), id(9)] {
         let _ticket = runner.master().request(motor, ReadStatus1).expect("it is free");
     }
@@ -109,7 +109,7 @@ fn nobody_is_found_on_a_can_bus_that_carries_nothing() {
     let found = bring_up::scan(runner, MotorSet::ALL, hear);
     assert!(matches!(found, Err(CallError::Failed { failure: Failure::BusDown, .. })), "{found:?}");
     assert_eq!(there, MotorSet::EMPTY);
-    // It can be tried again.
+    // The scan can be repeated.
     assert_eq!(runner.master().motors(), MotorSet::EMPTY);
     bus.world.mend(bus.drives[0].station());
     listen(runner, millis(50));
@@ -170,7 +170,7 @@ fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {
     assert_eq!(kept, offset);
     let after = read_angle(runner);
     assert!(after.abs() < 0.1, "{after}");
-    // The zero is a place and not wherever the shaft is.
+    // The zero stays where it is when the shaft turns.
     turn_to(drive, 120.0);
     listen(runner, millis(20));
     let turned = read_angle(runner);
@@ -211,7 +211,7 @@ fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
         let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
         assert_eq!(ids, (id(number), id(number)), "nothing was changed");
     }
-    // All would obey 0x79.
+    // 0x79 would not help: all drives would obey it.
     let not_taken = bring_up::change_id(runner, id(1), id(9));
     let expected = BringUpError::IdNotTaken { from: id(1), to: id(9), is_alone: false };
     assert_eq!(not_taken, Err(expected));
@@ -251,7 +251,7 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
         assert!(state(drive).output_on, "its shaft would run on");
     }
     assert_eq!(settings(), before, "nothing was written");
-    // A call that changes nothing does not need a motor that stands.
+    // A call that changes nothing works although the motor turns.
     assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
     assert!(runner.stop(id(1), StopKind::Hold));
     listen(runner, millis(500));
@@ -260,14 +260,14 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
-    // As they come from the factory.
+    // Like drives from the factory.
     let bus = W::drives(&Fleet::new(2).all_with_id(id(1))).unwrap();
     let runner = &mut master(&bus);
     let found = bring_up::scan(runner, MotorSet::ALL, |_, _| {}).expect("a bus");
     assert!([MotorSet::EMPTY, ids([1])].contains(&found), "{found:?}");
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     let refused = bring_up::change_id(runner, id(1), id(9));
-    // On a line both send at the same time, and neither is understood.
+    // On a line both answer at the same time, and neither is understood.
     let none = Err(BringUpError::NotThere(id(1)));
     assert!(refused == Err(BringUpError::IdShared(id(1))) || refused == none, "{refused:?}");
     for drive in &bus.drives {
@@ -276,17 +276,17 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
 }
 
 fn a_motor_that_answers_late_is_one_motor<W: Wire>() {
-    // Later than the master's time-out: both attempts are answered then.
+    // Later than the master's time-out. Both attempts are answered after it.
     let late = millis(30);
     let bus = W::drives(&Fleet::new(1).response(late, late)).unwrap();
     assert_eq!(bring_up::is_shared(&mut master(&bus), id(1)), Ok(false));
 }
 
-/// This many motors with id 1 that stall, and report it every 100 ms.
+/// This many motors with id 1 that stall and report that every 100 ms.
 fn stalled<W: Wire>(motors: u8) -> BusFleet<W> {
     let bus = W::drives(&Fleet::new(motors).all_with_id(id(1))).unwrap();
     let runner = &mut master(&bus);
-    // On a line the answers of two of them are not understood.
+    // On a line the answers of two motors are not understood.
     let _ = runner.ask(id(1), FunctionControl::ErrorReporting(Switch::On));
     for drive in &bus.drives {
         drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -313,7 +313,7 @@ fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
     }
 }
 
-/// Each report looks like a second answer until they are ended. The other master does not notice that.
+/// Each report of the motor looks like a second answer, until the reports end. The other master does not notice.
 #[test]
 fn a_motor_that_another_master_has_report_looks_like_two() {
     let bus = Fleet::new(1).on_can(1_000_000).unwrap();
@@ -327,7 +327,7 @@ fn a_motor_that_another_master_has_report_looks_like_two() {
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     report(Switch::Off, runner);
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(false));
-    // This master does not ask for what it has told the motor to report.
+    // A master does not ask a motor for what the motor reports on its command.
     report(Switch::On, runner);
     let reported = RequestError::Reported(Opcode::ReadStatus2);
     assert_eq!(bring_up::is_shared(runner, id(1)), Err(CallError::refused(id(1))(reported)));
@@ -368,7 +368,7 @@ fn a_brake_is_open_before_torque_comes<W: Wire>() {
     let took = runner.now() - begun;
     assert!(took >= Quirks::SLOW_BRAKE_MAX, "it is waited for: {took}");
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
-    // Torque moves the shaft from the first moment; until then it was held.
+    // Torque moves the shaft at once. Until then it was held.
     assert!(moved() < 0.01);
     assert!(state(drive).output_on);
     runner.ask(id(1), push(2.0)).expect("it is there");
@@ -385,7 +385,7 @@ fn a_brake_opens_under_a_protection_that_is_shorter<W: Wire>() {
     assert_eq!(state(&bus.drives[0]).brake, BrakeCommand::RELEASE);
 }
 
-/// A program that is started again finds this: the protection is kept, and the motor has heard nothing for a while.
+/// The situation of a restarted program: the protection is still on, and the motor has heard nothing for a while.
 fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -397,7 +397,7 @@ fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
 }
 
-fn no_brake_is_opened_behind_which_nothing_would_hold<W: Wire>() {
+fn no_brake_is_opened_if_its_motor_cannot_hold<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -408,7 +408,7 @@ fn no_brake_is_opened_behind_which_nothing_would_hold<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::LOCK);
 }
 
-/// And comes to rest with its brake: it is lifted, held and put down again.
+/// Held by its motor, and then by its brake.
 fn a_load_stays_where_it_is<W: Wire>() {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -424,7 +424,7 @@ fn a_load_stays_where_it_is<W: Wire>() {
     assert!(!has_moved() && !state(drive).output_on);
 }
 
-/// A motor with a slow brake, and a load that pulls at it.
+/// A motor with a slow brake and a load that pulls at it.
 fn lifting<W: Wire>() -> BusFleet<W> {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -457,7 +457,7 @@ fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
 }
 
 /// While a stop is in force, opening the brake again is refused.
-fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
+fn a_slipping_brake_that_may_not_be_opened_is_reported<W: Wire>() {
     let bus = lifting::<W>();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
@@ -469,7 +469,7 @@ fn who_may_not_open_a_brake_that_slips_says_so<W: Wire>() {
 }
 
 /// The brake stays locked.
-fn what_slips_only_when_the_motor_is_off_is_told<W: Wire>() {
+fn a_brake_that_slips_only_when_the_motor_is_off_is_reported<W: Wire>() {
     for slips in [false, true] {
         let bus = lifting::<W>();
         let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -518,7 +518,7 @@ fn what_a_motor_holds_its_brake_holds_while_it_is_switched_off<W: Wire>() {
     }
 }
 
-fn no_brake_is_locked_on_a_shaft_that_turns_and_who_has_none_is_told<W: Wire>() {
+fn no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported<W: Wire>() {
     for has_brake in [true, false] {
         let bus = W::drives(&Fleet::new(1).brakes(has_brake)).unwrap();
         let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -545,11 +545,11 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
         listen(runner, millis(50));
         assert!(state(drive).output_on, "commands come in time");
     }
-    // No command reads it back: it stops when it hears nothing.
+    // No command reads the setting back. It shows when the motor hears nothing.
     listen(runner, millis(180));
     assert!(!state(drive).output_on);
     assert!(state(drive).communication_lost);
-    // Switched off, it does not.
+    // Without protection it goes on.
     let off = bring_up::protect(runner, id(1), Milliseconds::from_raw(0));
     assert_eq!(off, Ok(Protection::Confirmed));
     runner.ask(id(1), turn(50.0)).expect("it is there");
@@ -557,8 +557,8 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
     assert!(state(drive).output_on);
 }
 
-/// Does this to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 is sent. Returns the outcome, and how
-/// often motor 1 has restarted.
+/// Runs `work` on motor 1 of two. The motor's wire is cut for 2 ms when the first 0x76 is sent. Returns the outcome and
+/// how often motor 1 has restarted.
 fn with_first_restart_lost<W: Wire, T>(work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
     with_first_restart_lost_by::<W, T>(Quirks::default(), 2_000, work)
 }
@@ -576,7 +576,7 @@ fn with_first_restart_lost_by<W: Wire, T>(
         let fleet = Fleet::new(2).quirks(quirks).faults(faults.map(|fault| fault.parse().unwrap()));
         let bus = W::drives(&fleet).unwrap();
         turn_to(&bus.drives[0], 50.0);
-        // It has run for a while.
+        // Let it run for a while.
         bus.world.run_for(millis(5_000));
         myactuator_tests::fleet::happened(&bus.drives[0]);
         let log = bus.world.log();
@@ -597,7 +597,7 @@ fn with_first_restart_lost_by<W: Wire, T>(
     }
 }
 
-/// The first 0x76 is lost: the motor goes on running, and answers.
+/// The first 0x76 is lost, so the motor goes on and answers.
 fn a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one<W: Wire>() {
     let restart = |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1));
     let (told, restarts) = with_first_restart_lost::<W, _>(restart);
@@ -617,15 +617,15 @@ fn a_zero_is_kept_though_the_restart_was_lost_once<W: Wire>() {
     assert!(told.is_ok(), "{told:?}");
 }
 
-/// Firmware 2025070202: it hears the old id and answers as the new one until it restarts.
-fn a_drive_that_answers_as_its_new_id_is_told_again_to_restart<W: Wire>() {
+/// Firmware 2025070202: until it restarts, a drive hears the old id and answers under the new one.
+fn the_restart_of_a_drive_that_answers_as_its_new_id_is_sent_again<W: Wire>() {
     let quirks = Quirks { answers_as_new_id: true, slow_boot: true, ..Quirks::default() };
     let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
     let (told, restarts) = with_first_restart_lost_by::<W, _>(quirks, 2_000, change);
     assert!(told.is_ok(), "{told:?} after {restarts} restarts");
 }
 
-fn who_does_not_answer_what_follows_a_write_may_have_kept_it<W: Wire>() {
+fn a_motor_that_falls_silent_after_a_write_may_have_kept_it<W: Wire>() {
     let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
     let (changed, _) = with_first_restart_lost_by::<W, _>(Quirks::default(), 60_000_000, change);
     let zero = |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(|_| ());
@@ -642,7 +642,7 @@ fn starts_with(byte: u8, record: &trace::Record<SimpleFrame>) -> bool {
     matches!(can::decode(frame), can::Received::Packet(packet) if packet.data[0] == byte)
 }
 
-/// Moves were refused because its turns may be lost, and its angle was not read since.
+/// Moves are refused because the motor's turns may be lost. A restart that was never heard does not change that.
 #[test]
 fn a_restart_that_was_never_heard_lifts_nothing() {
     let mut cuts: Vec<u64> = Vec::new();

@@ -1,5 +1,5 @@
-//! A line with motors that are gone: each command to one occupies it for a whole time-out, and a stop still has to
-//! reach the others.
+//! A line with dead motors. Each command to one occupies the line for a whole time-out. A stop must reach the other
+//! motors nevertheless.
 
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
@@ -11,18 +11,18 @@ use myactuator_tests::values::id;
 
 const MOTORS: u8 = 16;
 
-/// What goes wrong on a line that streams to 16 motors, before all of them are told to hold.
+/// What goes wrong on a line with streams to 16 motors, before a stop holds all of them.
 #[derive(Clone, Copy, Debug)]
 struct Case {
-    /// This many, those with the lowest ids, are cut off.
+    /// This many motors, those with the lowest ids, are cut off.
     dead: u8,
-    /// They are cut off for half a second, so that they were missed; otherwise the stop comes at once.
+    /// The stop comes half a second after the cut, when the master has noticed it. Otherwise the stop comes at once.
     are_known: bool,
-    /// The last motor was switched off by a stop, so that none may go to all: that would switch it on.
+    /// A stop has switched the last motor off. So no hold may go to all: it would switch that motor on.
     is_one_off: bool,
 }
 
-/// The time from the stop to the last first stop that one of the others hears.
+/// The time from the stop until the last of the living motors hears its first stop.
 fn last_first_stop(case: Case) -> Duration {
     let mut rig = Rig::<Rs485Line>::new(MOTORS, 7);
     let streamed = MOTORS - u8::from(case.is_one_off);
@@ -49,7 +49,7 @@ fn last_first_stop(case: Case) -> Duration {
     rig.ledger.pages().iter_mut().for_each(|page| page.heard.first_stop = None);
     let start = rig.world.now();
     assert_eq!(rig.runner.stop_all(StopKind::Hold, MotorSet::EMPTY), dead, "{case:?}");
-    // A motor that was switched off was told long ago, and is last.
+    // The motor that was switched off had its stop long ago, and comes last.
     let is_told = |motor| case.is_one_off && motor == id(MOTORS);
     let living = rig.motors().filter(|&motor| !dead.contains(motor) && !is_told(motor));
     let heard = living.map(|motor| rig.ledger.page(motor).heard.first_stop.expect("it was told"));
@@ -58,9 +58,9 @@ fn last_first_stop(case: Case) -> Duration {
 
 /// 13 bytes of 10 bits at 1 Mbit/s.
 const FRAME: Duration = Duration::from_micros(131);
-/// Command and reply, 0.9 ms for the drive and 0.1 ms for it to turn around.
+/// Command and reply, 0.9 ms of response, and 0.1 ms to turn around.
 const EXCHANGE: Duration = Duration::from_micros(2 * 131 + 900 + 100);
-/// Command and no reply: 5 ms and two frames.
+/// A command without a reply: a time-out of 5 ms and two frames.
 const SILENCE: Duration = Duration::from_micros(131 + 5_262 + 100);
 
 #[test]
@@ -77,13 +77,13 @@ fn a_stop_of_all_reaches_every_living_motor_before_any_dead_one_is_waited_for() 
 }
 
 #[test]
-fn where_no_stop_may_go_to_all_the_living_that_are_known_to_be_come_first() {
+fn without_a_stop_to_all_motors_known_to_be_alive_come_first() {
     for dead in [0, 8, 12] {
         let living = SILENCE + EXCHANGE.times(u32::from(MOTORS - dead));
         let case = Case { dead, are_known: true, is_one_off: true };
         let took = last_first_stop(case);
         assert!(took <= living, "{case:?}: {took}");
-        // It is not known yet which motors have just died: each is waited for once.
+        // The master does not know yet which motors have just died, so it waits once for each.
         let case = Case { dead, are_known: false, is_one_off: true };
         let took = last_first_stop(case);
         assert!(took <= living + SILENCE.times(u32::from(dead)), "{case:?}: {took}");

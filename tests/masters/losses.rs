@@ -1,5 +1,4 @@
-//! Every loss is counted: what the master's health and events report is what the wire and the drives know, frame by
-//! frame.
+//! Every loss is counted: the master's health and events agree with what the wire and the drives know, frame by frame.
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
@@ -18,7 +17,7 @@ struct Case {
     percent: u32,
     motors: u8,
     attempts: u8,
-    /// Whether wires are cut, one drive after another, instead of losing frames by chance.
+    /// Whether wires are cut, one drive after another, instead of random losses.
     cuts: bool,
 }
 
@@ -45,7 +44,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
     let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
     for round in 0..ROUNDS {
         if case.cuts {
-            // This many rounds in a hundred without a wire.
+            // `percent` of a hundred rounds without a wire.
             let node = rig.nodes[(round / 100) as usize % rig.nodes.len()];
             if round % 100 == 0 {
                 rig.world.cut(node);
@@ -93,7 +92,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }
-                // A motor that was cut off for a second may have.
+                // A motor that was cut off for a second may have restarted.
                 Some(Event::Restarted { motor }) => rig.runner.master().resume(motor),
                 Some(other) => panic!("{other:?} in {case:?}"),
                 None if open > 0 || broadcast || rig.runner.master().is_anything_in_flight() => {
@@ -109,10 +108,10 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let mut health = rig.runner.master().health(motor);
         health.answered -= u32::from(motor == MotorId::MIN) * Rig::<W>::SHOWN;
         let what = format!("{}: motor {motor} of {case:?}, {told:?}, {health:?}", W::NAME);
-        // What really happened: commands that were on the wire, replies that got through.
+        // What really happened: commands on the wire, and replies that reached the master.
         let got_through = page.replied - page.replies_lost;
         let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
-        // If several frames in a row are lost, the bus looks quiet, and feedback that waits for it seems late.
+        // If several frames in a row are lost, the bus looks quiet, and feedback that is still pending seems late.
         let late = got_through - u64::from(health.answered);
         let most_late = if case.percent > 0 { got_through / 100 } else { 0 };
         assert!(late <= most_late, "{what}");

@@ -1,4 +1,4 @@
-//! Streams of set-points and the safe stop, where an old frame would be dangerous.
+//! Streams of set-points and the safe stop. An old frame would be dangerous there.
 
 use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
 use myactuator_host_std::sim::bus::faults::FaultPlan;
@@ -11,7 +11,7 @@ use myactuator_tests::rig::{Ledger, Rig, angle, step};
 use myactuator_tests::values::{id, millis};
 use myactuator_tests::wire::Wire;
 
-/// Set-points come faster than the bus takes them, for a second, over a wire that may come and go.
+/// For a second set-points come faster than the bus takes them, over a wire that may be cut now and then.
 fn flood<W: Wire>(cuts: bool) {
     let mut rig = Rig::<W>::new(4, 5);
     let (mut number, mut dropped) = (0, 0);
@@ -34,14 +34,14 @@ fn flood<W: Wire>(cuts: bool) {
         assert_eq!((page.sent.stale, page.heard.stale), (0, 0), "{told}");
         assert!(page.sent.set_points > 20, "{told}");
         if !cuts {
-            // Each was sent or counted.
+            // Each was sent or counted as superseded.
             let superseded = u64::from(health.superseded);
             assert_eq!(page.sent.set_points + superseded, u64::from(number), "{told}");
         }
     }
 }
 
-/// What goes wrong on the way is in `master_truth`.
+/// Other faults are in `master_truth`.
 #[test]
 fn no_set_point_is_sent_after_a_newer_one_however_many_come() {
     for cuts in [false, true] {
@@ -50,7 +50,8 @@ fn no_set_point_is_sent_after_a_newer_one_however_many_come() {
     }
 }
 
-/// More frames fit the controller than the motors miss replies: what it refuses has to count, too.
+/// The controller takes so many frames that the motors would miss too few replies. Frames that it refuses must count,
+/// too.
 #[test]
 fn a_stream_of_any_number_of_motors_sees_that_the_bus_is_cut() {
     for motors in [1, 2, 4, 8, 16] {
@@ -76,7 +77,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     let mut rig = Rig::<CanBus>::new(8, 3);
     rig.put_all(1);
     rig.run_for(millis(20));
-    // Nothing acknowledges. The stream goes on, and a move and a read are asked for.
+    // Nothing acknowledges. The stream goes on, and a move and a read are requested.
     rig.world.cut(rig.port);
     let mut events = Vec::new();
     for number in 2..200 {
@@ -100,7 +101,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     rig.world.mend(rig.port);
     rig.run_for(millis(200));
     let after = sent(&rig.ledger);
-    // The controller sends what it had taken before it was full: only its driver can take that back. The master adds
+    // The controller sends the frames that it had taken, which only its driver could take back. The master adds
     // nothing.
     let queue = ControllerConfig::SOCKETCAN.transmit_queue as u64;
     assert!(after - before <= queue, "{} set-points came after the bus was mended", after - before);
@@ -112,7 +113,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     }
 }
 
-/// How many feedbacks each of eight motors sends in a second of streams at 500 Hz together with reads.
+/// How often each of eight motors sends feedback in a second of streams at 500 Hz.
 fn rates(silent: bool) -> Vec<u64> {
     let mut rig = Rig::<CanBus>::new(8, 9);
     if silent {
@@ -135,7 +136,7 @@ fn a_silent_motor_among_eight_costs_the_other_seven_nothing() {
     let (all, seven) = (rates(false), rates(true));
     assert_eq!(seven[2], 0);
     for motor in [0, 1, 3, 4, 5, 6, 7] {
-        // At 500 Hz and full bus nothing is missed, with the silent one or without.
+        // At 500 Hz nothing is missed, with the silent motor or without it.
         assert_eq!((all[motor], seven[motor]), (500, 500), "motor {}", motor + 1);
     }
 }
@@ -159,8 +160,8 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     rig.ledger.pages().iter_mut().for_each(|page| page.sent.first_stop = None);
     let unconfirmed = rig.runner.stop_all(kind, MotorSet::EMPTY);
     let took = rig.runner.now() - begun;
-    // 15 attempts of 21 ms. A set-point may still be on its way, so the stop is sent once more after each attempt that
-    // was not answered then, at most every second. On RS485 one motor after another.
+    // 15 attempts of 21 ms. A set-point may still be in flight. So after an unanswered attempt, at most every second
+    // one, the stop is sent once more. On RS485 one motor comes after another.
     let longest = if W::NAME == "CAN" { 330 + 8 * 62 } else { 8 * 15 * 7 + 10 };
     assert!(took <= millis(longest), "{}: {took} for all to stop", W::NAME);
     for motor in rig.motors() {
@@ -174,7 +175,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
             // At most ten frames of the controller's queue and eight stops come first.
             assert!(first - begun < Duration::from_micros(18 * 135), "{told} waited");
         }
-        // And nothing moves it until the stop is lifted.
+        // Nothing moves it until the stop is lifted.
         assert_eq!(rig.put(motor, 1_000), Err(RequestError::Stopped));
     }
     rig.runner.master().lift_stop();
@@ -183,7 +184,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
 }
 
 #[test]
-fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
+fn a_safe_stop_under_50_percent_loss_reaches_all_or_reports_who_was_missed() {
     let mut missed = 0;
     for seed in 0..800 {
         for kind in [StopKind::Hold, StopKind::Off] {
@@ -191,8 +192,8 @@ fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
             missed += stop_under_loss::<Rs485Line>(kind, seed);
         }
     }
-    // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. A motor that something
-    // sent before may still move needs two that work, and another two if the bus may have been cut between them. On a
-    // line no motor confirms it before four answers have shown that there is no echo.
+    // An attempt succeeds with a probability of 0.25, so 15 fail with 0.75^15 = 1.3 %: about 340 of 25,600. If an
+    // earlier frame may still move a motor, it needs two successful attempts, and two more if the bus may have been cut
+    // between them. On a line no motor confirms before four answers have shown that there is no echo.
     assert!((1..=1_300).contains(&missed), "{missed} of 25,600 not reached");
 }

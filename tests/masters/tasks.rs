@@ -1,4 +1,4 @@
-//! The same ways of working as tasks: each is one future, which may be dropped at any point.
+//! The same ways of working as async tasks. Each is one future, which may be dropped at any point.
 
 use std::fmt::Debug;
 use std::ops::ControlFlow;

@@ -1,4 +1,4 @@
-//! Calls that wait for more than one answer: joint questions, set-points with their feedback, watched moves.
+//! Calls that wait for more than one answer: joint requests, set-points with their feedback, watched moves.
 
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,19 +26,19 @@ on_both_buses! {
     each_question_has_its_own_answer
     the_bus_runs_until_then
     a_set_point_is_waited_for_with_its_own_feedback
-    a_set_point_that_cannot_be_sent_or_is_not_answered_is_told
+    a_set_point_that_cannot_be_sent_or_is_not_answered_is_reported
     the_newest_feedback_is_kept
     a_motor_arrives_and_holds
     a_relative_move_is_one_from_where_the_shaft_is
     a_motor_that_is_held_has_stalled_and_is_stopped
     a_move_ends_when_its_time_is_up
     a_move_is_given_up
-    a_restart_on_the_way_is_told_as_one
-    who_takes_its_time_between_two_looks_is_told_of_no_restart
+    a_restart_on_the_way_is_reported_as_one
+    a_pause_between_two_looks_is_not_reported_as_a_restart
     a_panic_on_the_way_stops_the_motor
     a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
-    a_stop_of_all_reaches_whom_nobody_has_named
+    a_stop_of_all_reaches_motors_that_nobody_has_named
     a_motor_that_falls_silent_has_not_confirmed_its_stop
     a_motor_that_comes_back_under_a_stop_is_stopped
     a_restart_on_the_way_ends_the_move_and_forbids_another
@@ -56,7 +56,7 @@ fn each_question_has_its_own_answer<W: Wire>() {
         turn_to(drive, angle);
     }
     listen(runner, millis(20));
-    // Also one that is not answered, and one that waits for another to the same motor.
+    // One of them is not answered. Another waits for an earlier one to the same motor.
     let asked = [1, 2, 9, 4, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
     let answers = runner.ask_together(asked);
     let told = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
@@ -73,7 +73,7 @@ fn each_question_has_its_own_answer<W: Wire>() {
 }
 
 #[test]
-fn behind_a_stop_on_a_dead_bus_nobody_waits_for_ever() {
+fn after_a_stop_on_a_dead_bus_no_call_waits_for_ever() {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let mut bus = fleet.master::<8>();
     fleet.world.cut(fleet.drives[0].station());
@@ -100,7 +100,7 @@ fn on_can_four_are_asked_in_less_than_the_time_of_two() {
     assert!(bus.now() - begun < one.times(2), "{} for four, {one} for one", bus.now() - begun);
 }
 
-fn a_stop_of_all_reaches_whom_nobody_has_named<W: Wire>() {
+fn a_stop_of_all_reaches_motors_that_nobody_has_named<W: Wire>() {
     let bus = W::drives(&Fleet::new(3)).unwrap();
     let runner = &mut master(&bus);
     runner.master().broadcast(turn(90.0), id(1).into()).unwrap();
@@ -126,7 +126,7 @@ fn the_bus_runs_until_then<W: Wire>() {
     runner.run_until(begun + millis(30), |event| told.push(event)).unwrap();
     assert_eq!(runner.now() - begun, millis(30));
     assert!(matches!(told[..], [event] if ticket.outcome(&event).is_some_and(|it| it.is_ok())));
-    // A loop that is late does not stop sending and hearing.
+    // Even if the time has passed already, each call sends and receives.
     let ticket = runner.master().request(id(1), ReadMultiTurnAngle).unwrap();
     let mut outcome = None;
     let mut rounds = 0;
@@ -143,9 +143,9 @@ fn the_bus_runs_until_then<W: Wire>() {
 fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
-    // One of the same kind is in flight: its feedback is not taken for that of the next.
+    // One of the same kind is in flight. Its feedback must not pass for that of the next.
     runner.set_point(id(1), push(0.1)).unwrap();
-    // On RS485 after the reads that show whether there is an echo.
+    // On RS485 it is sent after the reads that show whether there is an echo.
     while !runner.master().is_anything_in_flight() {
         assert_eq!(runner.poll().unwrap(), None);
         let soon = runner.now() + myactuator_protocol_core::time::Duration::from_micros(50);
@@ -158,12 +158,12 @@ fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
     assert!(feedback.temperature.celsius() > 0.0);
 }
 
-fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_told<W: Wire>() {
+fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_reported<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     bus.world.cut(bus.drives[0].station());
     let silent = runner.set_point_and_wait(id(1), push(0.1));
-    // On CAN nothing acknowledges the frame, so the bus takes no other.
+    // On CAN nothing acknowledges the frame, so the bus takes no other frame.
     assert!(
         matches!(
             silent,
@@ -224,7 +224,8 @@ fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {
     assert!((arrival.angle.degrees() - 10.0).abs() <= 0.3);
 }
 
-/// Moves it with so little torque that friction holds its shaft, and returns what is reported.
+/// Moves a motor with so little torque that friction holds its shaft. Returns why it did not arrive, and whether it is
+/// stopped.
 fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
@@ -286,7 +287,7 @@ fn a_panic_on_the_way_stops_the_motor<W: Wire>() {
             });
     });
     assert!(catch_unwind(moving).is_err());
-    // Nothing runs the loop any more.
+    // Nobody runs the loop any more.
     bus.world.run_for(millis(500));
     let at = state(&bus.drives[0]).angle_deg;
     assert!((29.0..60.0).contains(&at), "{at}");
@@ -343,7 +344,7 @@ fn a_motor_that_comes_back_under_a_stop_is_stopped<W: Wire>() {
     assert!(speed_dps().abs() < 1.0, "{}", speed_dps());
 }
 
-/// Its turns are lost, so that it would go on to another.
+/// The motor has lost its turns, so it would go on to a wrong one.
 fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
     let fleet = Fleet::new(1).faults(["reset@1+1.5s".parse().unwrap()]);
     let bus = W::drives(&fleet).unwrap();
@@ -416,7 +417,7 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
     }
 }
 
-/// Its protection is shorter than the time between two looks.
+/// The motor's protection is shorter than the time between two looks.
 fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
     for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
         let bus = W::drives(&Fleet::new(1)).unwrap();
@@ -431,7 +432,7 @@ fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
     }
 }
 
-/// Why a move to 40 degrees is no grip, with this torque and this load.
+/// Why a move to 40 degrees with this torque and this load is no grip.
 fn gripped<W: Wire>(percent_of_rated: u8, torque_nm: f64) -> MoveFailure<()> {
     let bus = W::drives(&Fleet::new(1).load(Load { torque_nm, ..Load::NONE })).unwrap();
     let runner = &mut master(&bus);
@@ -466,8 +467,8 @@ fn a_gripper_that_never_moved_has_gripped_nothing<W: Wire>() {
     assert!(matches!(why, MoveFailure::Stalled { at, .. } if at.degrees().abs() < 0.2), "{why}");
 }
 
-/// Its supply fails for a moment: it was not told to switch off, and it heard everything.
-fn a_restart_on_the_way_is_told_as_one<W: Wire>() {
+/// The motor's supply fails for a moment. It had no command to switch off, and it heard everything.
+fn a_restart_on_the_way_is_reported_as_one<W: Wire>() {
     let restart = "reset@1+300ms".parse().unwrap();
     let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
     let go_on = |_: &_| ControlFlow::Continue(());
@@ -478,7 +479,7 @@ fn a_restart_on_the_way_is_told_as_one<W: Wire>() {
     assert!(told.contains("restarted"), "{told}");
 }
 
-fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
+fn a_pause_between_two_looks_is_not_reported_as_a_restart<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     bus.world.run_for(millis(5_000));
     let runner = &mut master(&bus);
@@ -507,10 +508,10 @@ fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
     assert_eq!(looks, 1);
 }
 
-/// A drive that has lost its master meanwhile ignores a look, not the move. A caller that was told to repeat a relative
-/// move would move it twice.
+/// A drive that has lost its master meanwhile ignores a look, not the move. If the error told the caller to repeat a
+/// relative move, the motor would move twice.
 #[test]
-fn a_look_that_is_ignored_is_told_as_the_end_of_the_move() {
+fn an_ignored_look_is_reported_as_the_end_of_the_move() {
     let step = IncrementalPosition { max_speed: up_to(360), angle: degrees(200.0) };
     let mut let_go = 0;
     for seed in 1..20 {

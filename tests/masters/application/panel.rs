@@ -1,4 +1,4 @@
-//! The button, the light, and the reports of every second.
+//! The button, the light, and the report of each second.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_mcu_example::{Report, StateName};
@@ -11,7 +11,7 @@ use super::{Firmware, Moved, Panel, angle_deg};
 on_both_buses! {
     a_spike_on_the_button_starts_nothing
     the_light_blinks_slowly_while_stopped_and_is_on_while_running
-    the_angles_that_are_told_are_those_of_the_shafts
+    the_reported_angles_are_those_of_the_shafts
 }
 
 fn a_spike_on_the_button_starts_nothing<B: Moved>() {
@@ -43,7 +43,7 @@ fn the_light_blinks_slowly_while_stopped_and_is_on_while_running<B: Moved>() {
     assert!(firmware.panel.is_light_on);
 }
 
-fn the_angles_that_are_told_are_those_of_the_shafts<B: Moved>() {
+fn the_reported_angles_are_those_of_the_shafts<B: Moved>() {
     let bus = B::drives(&Fleet::new(3)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.forget();

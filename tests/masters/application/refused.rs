@@ -1,4 +1,4 @@
-//! What the master does not take.
+//! Requests that the master refuses.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::can::CanBus;

@@ -1,4 +1,4 @@
-//! The button and troubles, in every state in which something is going on.
+//! The button and troubles in every active state.
 
 use std::mem;
 
@@ -16,8 +16,8 @@ use super::{Firmware, Moved, Panel, unplug};
 on_both_buses! {
     a_press_in_any_state_stops_and_starts_nothing
     a_bus_error_in_any_state_stops
-    a_press_right_behind_a_stop_by_something_else_starts_nothing
-    a_press_right_behind_a_restart_by_itself_starts_nothing
+    a_press_right_after_a_stop_by_something_else_starts_nothing
+    a_press_right_after_a_restart_by_the_watchdog_starts_nothing
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     a_motor_that_restarted_before_it_was_looked_for_runs
     no_brake_opens_while_a_motor_has_an_error
@@ -28,7 +28,7 @@ on_both_buses! {
 const UNDER_WAY: [StateName; 4] =
     [StateName::Finding, StateName::Preparing, StateName::Running, StateName::ShuttingDown];
 
-/// A firmware that has just entered this state, with the button up.
+/// Brings the firmware to the moment when it has just entered this state, with the button up.
 fn in_state<B: Moved>(firmware: &mut Firmware<'_, B>, state: StateName) {
     firmware.run_for(millis(1_500));
     firmware.panel.is_button_down = true;
@@ -81,8 +81,8 @@ fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
     firmware.stays_stopped();
 }
 
-/// The press was meant to stop what has just been stopped.
-fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
+/// The press was meant to stop motors that have just been stopped.
+fn a_press_right_after_a_stop_by_something_else_starts_nothing<B: Moved>() {
     for state in [StateName::Finding, StateName::Preparing, StateName::Running] {
         let bus = B::drives(&Fleet::new(2)).unwrap();
         let mut firmware = Firmware::start(&bus, Panel::default());
@@ -99,8 +99,8 @@ fn a_press_right_behind_a_stop_by_something_else_starts_nothing<B: Moved>() {
     }
 }
 
-/// It may have been running until its watchdog ended that.
-fn a_press_right_behind_a_restart_by_itself_starts_nothing<B: Moved>() {
+/// The motors may have been running until the watchdog restarted the firmware.
+fn a_press_right_after_a_restart_by_the_watchdog_starts_nothing<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
     let now = firmware.runner.now();
@@ -137,7 +137,7 @@ fn no_brake_opens_while_a_motor_has_an_error<B: Moved>() {
         let mut firmware = Firmware::start(&bus, Panel::default());
         firmware.run_for(millis(1_500));
         bus.drives[usize::from(motor.get()) - 1].with(|drive| drive.raise_fault(flags));
-        // Reported while it is stopped, and again because it keeps the motors from starting.
+        // It is reported while the motor is stopped, and again because it keeps the motors from starting.
         firmware.run_until(Report::Trouble(Trouble::Errors { motor, flags }), millis(1_000));
         firmware.run_for(millis(1_000));
         firmware.press(millis(50));
