@@ -1,4 +1,4 @@
-//! A drive with an ideal motor on a test bench: commands go in, replies come out, time is virtual.
+//! A drive with an ideal motor on a test bench. Commands go in, replies come out, and time is virtual.
 
 use myactuator_protocol_core::command::{
     Command, ErrorFlags, Feedback, ReadMultiTurnAngle, ReadStatus2,
@@ -11,16 +11,16 @@ use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Packe
 
 use crate::values::millis;
 
-/// A drive, its motor, and all that came out of it.
+/// A drive, its motor, and everything that came out of it.
 #[derive(Debug)]
 pub struct Bench {
     /// The drive.
     pub drive: Drive<IdealPlant, RamMemory>,
-    /// What time it is.
+    /// The time.
     pub now: Instant,
-    /// Everything that the drive sent, and when.
+    /// The packets that the drive sent, and when.
     pub sent: Vec<(Instant, Packet)>,
-    /// What the drive reported to its program.
+    /// The events that the drive reported to its program.
     pub events: Vec<Event>,
 }
 
@@ -63,7 +63,7 @@ impl Bench {
         }
     }
 
-    /// Lets time pass, waking the drive only when it asks for it.
+    /// Lets time pass. Calls the drive only at the times that it asks for.
     pub fn run(&mut self, span: Duration) {
         let end = self.now + span;
         while self.now < end {
@@ -80,7 +80,7 @@ impl Bench {
         self.collect();
     }
 
-    /// Puts a command on the bus and waits 5 ms. Returns the data of everything that comes back in that time.
+    /// Puts a command on the bus and waits 5 ms. Returns the packets that come back in that time.
     pub fn exchange(&mut self, channel: Channel, data: Data) -> Vec<Packet> {
         let before = self.sent.len();
         self.put(channel, data);
@@ -88,7 +88,7 @@ impl Bench {
         self.sent[before..].iter().map(|&(_, packet)| packet).collect()
     }
 
-    /// Sends any command to the drive. Returns the data of its only reply; `None` if there is none.
+    /// Sends any command to the drive. Returns the data of its only reply, or `None` if there is no reply.
     pub fn send(&mut self, command: impl Into<AnyCommand>) -> Option<Data> {
         let command = command.into();
         let target = if command.opcode() == Some(Opcode::BusId) { Target::All } else { ID.into() };
@@ -98,19 +98,19 @@ impl Bench {
         replies.first().map(|packet| packet.data)
     }
 
-    /// Sends a command that is answered.
+    /// Sends a command and returns its reply.
     pub fn ask<C: Command + Into<AnyCommand>>(&mut self, command: C) -> C::Reply {
         let data = self.send(command).expect("no reply");
         C::decode_reply(&data).expect("not a reply")
     }
 
-    /// Sends a command that is answered, and waits until the drive has carried it out.
+    /// Sends a command that has a reply, and lets `span` pass.
     pub fn go<C: Command + Into<AnyCommand>>(&mut self, command: C, span: Duration) {
         self.ask(command);
         self.run(span);
     }
 
-    /// Sends a command that a drive echoes, and checks that it does.
+    /// Sends a command and checks that the drive acknowledges it with the same bytes.
     pub fn write<C: Command + Into<AnyCommand> + Copy>(&mut self, command: C) {
         assert_eq!(self.send(command), Some(command.encode()));
     }
@@ -120,12 +120,12 @@ impl Bench {
         self.ask(ReadStatus2)
     }
 
-    /// What can be seen from outside.
+    /// The state of the drive, as seen from outside.
     pub fn state(&self) -> State {
         self.drive.state()
     }
 
-    /// Turns the shaft by hand, to an angle in degrees.
+    /// Turns the shaft by hand to an angle in degrees.
     pub fn turn_to(&mut self, angle_deg: f64) {
         self.drive.plant_mut().set_angle_deg(angle_deg);
         self.run(millis(1));
@@ -151,7 +151,7 @@ impl Bench {
         self.drive.state().measurement.current_a
     }
 
-    /// Runs for `span` and checks every millisecond.
+    /// Runs for `span` and calls `look` every millisecond.
     pub fn watch(&mut self, span: Duration, mut look: impl FnMut(&State)) {
         for _ in 0..span.as_millis() {
             self.run(millis(1));
@@ -164,7 +164,7 @@ impl Bench {
         assert_eq!(self.send(myactuator_protocol_core::command::Reset), None);
     }
 
-    /// Takes the power away for 100 ms.
+    /// Switches the power off for 100 ms.
     pub fn power_cycle(&mut self) {
         self.drive.power_off(self.now);
         self.run(millis(100));
@@ -178,7 +178,7 @@ impl Bench {
         self.collect();
     }
 
-    /// Why the last command was not run, if it was not. Drops older events.
+    /// Why the last command that was not run was not. Drops all events.
     pub fn not_run(&mut self) -> Option<NotRunReason> {
         let mut reasons = self.events.drain(..).filter_map(|event| match event {
             Event::NotRun { reason, .. } => Some(reason),

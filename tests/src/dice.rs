@@ -3,7 +3,7 @@
 use myactuator_protocol_core::{Data, Opcode};
 use proptest::prelude::*;
 
-/// Eight bytes: of a known kind more often than not, and small numbers as often as large ones.
+/// Eight bytes: mostly of a known kind, and small numbers as often as large ones.
 pub fn any_data() -> impl Strategy<Value = Data> {
     let known: Vec<u8> = Opcode::ALL.iter().filter_map(|opcode| opcode.byte()).collect();
     let first = prop_oneof![4 => prop::sample::select(known), 1 => any::<u8>()];

@@ -1,4 +1,4 @@
-//! Simulated drives on either bus, so that a test of both is written once.
+//! Simulated drives on either bus, so that one test covers both.
 
 use myactuator_host_std::sim::{BusFleet, DriveHandle};
 use myactuator_protocol_core::drive::{Event, State};
@@ -33,7 +33,7 @@ pub fn turn_to(drive: &DriveHandle, degrees: f64) {
     drive.with(|drive| drive.plant_mut().set_output_angle_deg(degrees).expect("a finite angle"));
 }
 
-/// What happened in the drive since the last call.
+/// The drive's events since the last call.
 pub fn happened(drive: &DriveHandle) -> Vec<Event> {
     drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
 }

@@ -1,4 +1,4 @@
-//! A master that runs for a while and notes its events.
+//! Runs a master for a while and notes its events.
 
 use std::fmt::Debug;
 

@@ -1,4 +1,4 @@
-//! The list of the manual's requirements, as text and as a page of this documentation.
+//! The list of the manual's requirements: as text, and as a page of this documentation.
 
 macro_rules! files {
     ($($file:literal)+) => {

@@ -1,8 +1,7 @@
-//! Drives that tell the truth: light nodes for the simulated buses, and a ledger of what really happened on the wire
-//! and in the drives.
+//! Light drives for the simulated buses, and a ledger of what really happened on the wire and in the drives.
 //!
-//! Every command carries a token in bytes 4 to 7, and a node copies the token of the command that it answers to bytes 4
-//! to 7 of its reply. So each reply shows to which request it belongs.
+//! Every command carries a token in bytes 4 to 7. A drive copies the token to bytes 4 to 7 of its reply, so each reply
+//! shows to which request it belongs.
 
 use std::collections::{HashMap, VecDeque};
 use std::marker::PhantomData;
@@ -27,7 +26,7 @@ use myactuator_protocol_core::{
 use crate::dice::Dice;
 use crate::wire::Wire;
 
-/// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
+/// Marks a set-point of a stream in byte 1 of a speed command. Requests of the same kind have another mark.
 pub const STREAM_MARK: u8 = 0;
 
 /// The token in bytes 4 to 7.
@@ -35,8 +34,7 @@ pub fn token_of(data: &Data) -> u32 {
     u32::from_le_bytes([data[4], data[5], data[6], data[7]])
 }
 
-/// A command that has nothing in bytes 4 to 7, with a token there, which the master neither knows nor
-/// needs.
+/// A command with a token in bytes 4 to 7, which it leaves free. The master does not know the token.
 #[derive(Clone, Copy, Debug)]
 pub struct WithToken<C>(C, u32);
 
@@ -74,24 +72,24 @@ impl<C: Command> Command for WithToken<C> {
     }
 }
 
-/// The commands to one motor, as seen at one place: on the wire, or in the drive.
+/// The commands to one motor, as seen on the wire or in the drive.
 #[derive(Clone, Debug, Default)]
 pub struct Seen {
     /// Commands with a reply, to this motor or to all.
     pub asking: u64,
-    /// How often each incremental move.
+    /// How often each incremental move came, by its token.
     pub moves: HashMap<u32, u32>,
-    /// All set-points.
+    /// The number of set-points.
     pub set_points: u64,
     /// The newest set-point.
     pub newest: Option<u32>,
     /// Set-points that came after a newer one.
     pub stale: u64,
-    /// When motion (set-points and moves) came last.
+    /// When the last set-point or move came.
     pub last_motion: Option<Instant>,
     /// When the first stop came since this was cleared.
     pub first_stop: Option<Instant>,
-    /// When a stop came last.
+    /// When the last stop came.
     pub last_stop: Option<Instant>,
 }
 
@@ -101,7 +99,7 @@ impl Seen {
         if let Some(number) = set_point_number(packet) {
             self.set_points += 1;
             self.last_motion = Some(at);
-            // Motion mode's numbers wrap.
+            // The numbers of motion mode wrap.
             let ahead = self.newest.map_or(1, |newest| number.wrapping_sub(newest));
             if (1..1 << 31).contains(&ahead) {
                 self.newest = Some(number);
@@ -118,16 +116,16 @@ impl Seen {
     }
 }
 
-/// What is known of one motor.
+/// What is known about one motor.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Commands that were on the wire whole.
+    /// Commands that were complete on the wire.
     pub sent: Seen,
     /// Commands that reached the drive.
     pub heard: Seen,
-    /// Its replies that were on the wire whole.
+    /// Its replies that were complete on the wire.
     pub replied: u64,
-    /// Its replies that the injector kept from the master.
+    /// Its replies that the injector lost on the way to the master.
     pub replies_lost: u64,
 }
 
@@ -170,18 +168,18 @@ fn has_reply(packet: &Packet) -> bool {
         || Opcode::from_byte(packet.data[0]).is_some_and(Opcode::has_reply)
 }
 
-/// A read of the status, or its answer. Here only the loop reads it, to find out whether the adapter echoes.
+/// A read of the status, or its answer. Here only the loop sends this read, to find out whether the adapter echoes.
 fn shows_echo(packet: &Packet) -> bool {
     !matches!(packet.channel, Channel::MotionReply(_)) && packet.data[0] == 0x9A
 }
 
-/// What moves a motor is answered by feedback, never by its own bytes.
+/// Whether the command moves a motor. Such a command is answered with feedback, never with its own bytes.
 fn moves(packet: &Packet) -> bool {
     Opcode::from_byte(packet.data[0]).is_some_and(|opcode| Kind::from(opcode).moves())
 }
 
-/// The number of a set-point of the tests' streams: absolute positions and marked speeds carry it as
-/// token, motion mode commands its low 16 bits as position.
+/// The number of a set-point of the tests' streams. Absolute positions and marked speeds carry it as their token.
+/// Motion mode commands carry its low 16 bits as their position.
 fn set_point_number(packet: &Packet) -> Option<u32> {
     match (packet.channel, packet.data) {
         (Channel::Motion(_), [high, low, ..]) => Some(u32::from_be_bytes([high, low, 0, 0])),
@@ -245,7 +243,7 @@ impl<W: Wire> Node<W::Frame> for Teller<W> {
     }
 }
 
-/// A bus with truth-telling drives, a master and the ledger.
+/// A bus with light drives, a master and the ledger.
 #[derive(Debug)]
 pub struct Rig<W: Wire> {
     /// The bus.
@@ -261,12 +259,12 @@ pub struct Rig<W: Wire> {
 }
 
 impl<W: Wire> Rig<W> {
-    /// Motors 1 to `motors` and a master as the library configures it.
+    /// Motors 1 to `motors`, and a master with the library's configuration.
     pub fn new(motors: u8, seed: u64) -> Self {
         Self::with_config(motors, seed, W::CONFIG)
     }
 
-    /// As [`Self::new`], with a master of this configuration.
+    /// As [`Self::new`], but the master has this configuration.
     pub fn with_config(motors: u8, seed: u64, config: Config) -> Self {
         let world = W::world(seed);
         let ledger = Ledger::new();
@@ -313,17 +311,17 @@ impl<W: Wire> Rig<W> {
         Self { world, runner, port, nodes, ledger }
     }
 
-    /// This many answers of the first motor show that the adapter does not echo.
+    /// The number of answers of the first motor that show that the adapter does not echo.
     pub const SHOWN: u32 = 4;
 
-    /// Gets them, so that each acknowledgement counts from now on.
+    /// Gets these answers, so that each acknowledgement counts from now on.
     pub fn shows_no_echo(&mut self) {
         for _ in 0..Self::SHOWN {
             self.runner.ask(MotorId::MIN, ReadStatus1).expect("the bus is whole");
         }
     }
 
-    /// Sets what goes wrong on the bus from now on, in both directions.
+    /// Sets the faults of the bus from now on, in both directions.
     pub fn strike(&self, plan: FaultPlan) {
         for direction in [Direction::ToNodes, Direction::ToPorts] {
             self.world.set_faults(direction, plan);
@@ -338,14 +336,14 @@ impl<W: Wire> Rig<W> {
         self.runner.master().set_point(motor, Speed { max_torque, speed }, now)
     }
 
-    /// Puts one for every motor.
+    /// Puts a set-point for every motor.
     pub fn put_all(&mut self, number: u32) {
         for motor in self.motors() {
             self.put(motor, number).expect("there is a place");
         }
     }
 
-    /// Runs the master for this long, and hands over its events. Errors of the bus are ignored.
+    /// Runs the master for this long and returns its events. Ignores errors of the bus.
     pub fn run_for(&mut self, span: Duration) -> Vec<master::Event> {
         let until = self.world.now() + span;
         let mut events = Vec::new();

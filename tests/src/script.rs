@@ -1,4 +1,4 @@
-//! Participants of a simulated bus that send by a timetable and note what they hear.
+//! Stations of a simulated bus that send by a timetable and note what they hear.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -16,34 +16,34 @@ pub const fn micros(at: u64) -> Instant {
     Instant::from_micros(at)
 }
 
-/// What it will send and what it heard.
+/// The frames that a station will send, and those that it has heard.
 #[derive(Debug)]
 pub struct Script<F> {
     to_send: VecDeque<(u64, F)>,
     heard: Vec<(u64, F)>,
     resets: Vec<u64>,
-    /// Whether it sends back what it hears.
+    /// Whether it sends back the frames that it hears.
     mirrors: bool,
 }
 
-/// A handle of a script that is on a bus.
+/// A handle of a script.
 #[derive(Clone, Debug)]
 pub struct Hand<F>(Arc<Mutex<Script<F>>>);
 
 impl<F: Clone> Hand<F> {
-    /// One that sends each frame at its time.
+    /// A script that sends each frame at its time.
     pub fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
         let to_send = timetable.into_iter().collect();
         let script = Script { to_send, heard: Vec::new(), resets: Vec::new(), mirrors: false };
         Self(Arc::new(Mutex::new(script)))
     }
 
-    /// One that sends nothing.
+    /// A script that sends nothing.
     pub fn listening() -> Self {
         Self::sending([])
     }
 
-    /// One that sends back what it hears.
+    /// A script that sends back the frames that it hears.
     pub fn mirroring() -> Self {
         let hand = Self::listening();
         hand.0.lock().unwrap().mirrors = true;
@@ -55,7 +55,7 @@ impl<F: Clone> Hand<F> {
         Arc::clone(&self.0)
     }
 
-    /// What it heard so far, and when, in microseconds.
+    /// The frames that it has heard, and when, in microseconds.
     pub fn heard(&self) -> Vec<(u64, F)> {
         self.0.lock().unwrap().heard.clone()
     }
@@ -65,38 +65,38 @@ impl<F: Clone> Hand<F> {
         self.0.lock().unwrap().resets.clone()
     }
 
-    /// What it heard so far.
+    /// The frames that it has heard.
     pub fn frames(&self) -> Vec<F> {
         self.heard().into_iter().map(|(_, frame)| frame).collect()
     }
 }
 
-/// A bus that scripts take part in.
+/// A bus for scripts.
 pub trait Stage {
-    /// What the bus carries.
+    /// The frames of the bus.
     type Frame: Clone;
 
     /// Puts a script on the bus.
     fn put(&self, hand: &Hand<Self::Frame>) -> StationId;
 
-    /// Puts one on the bus that sends each frame at its time.
+    /// Puts a script on the bus that sends each frame at its time.
     fn sender(&self, timetable: impl IntoIterator<Item = (u64, Self::Frame)>) -> StationId {
         self.put(&Hand::sending(timetable))
     }
 
-    /// Puts one on the bus that only listens.
+    /// Puts a script on the bus that only listens, and returns its handle.
     fn listener(&self) -> Hand<Self::Frame> {
         let hand = Hand::listening();
         self.put(&hand);
         hand
     }
 
-    /// Puts one on the bus that sends nothing.
+    /// Puts a script on the bus that sends nothing, and returns its place.
     fn silent(&self) -> StationId {
         self.put(&Hand::listening())
     }
 
-    /// Puts one on the bus that sends back what it hears.
+    /// Puts a script on the bus that sends back the frames that it hears.
     fn mirror(&self) -> StationId {
         self.put(&Hand::mirroring())
     }
@@ -120,12 +120,12 @@ pub fn line(seed: u64) -> (SerialWorld, SerialPort, Hand<Vec<u8>>) {
 /// The manual's example of reading a PID gain (2.1.5).
 pub const READ_PID: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
 
-/// Every frame is this much late.
+/// A plan that makes every frame this much late.
 pub fn late_by(delay: Duration) -> FaultPlan {
     FaultPlan { delay: 1.0, delay_min: delay, delay_max: delay, ..FaultPlan::NONE }
 }
 
-/// What was on the wire and failed.
+/// The records of frames that were broken on the wire.
 pub fn broken<F>(records: &[Record<F>]) -> impl Iterator<Item = &Record<F>> {
     records.iter().filter(|record| matches!(record.event, Event::Broken { .. }))
 }

@@ -1,4 +1,4 @@
-//! Short ways to make values that the test knows to be in range.
+//! Short ways to make values that are known to be in range.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, ForcePosition, Speed, Torque};
@@ -50,12 +50,12 @@ pub fn turn(speed_dps: f32) -> Speed {
     Speed { max_torque: percent(0), speed: dps(speed_dps) }
 }
 
-/// 0xA4: to this angle, at most at this speed.
+/// 0xA4: to this angle, at no more than this speed.
 pub fn go_to(angle_deg: f32, max_dps: u16) -> AbsolutePosition {
     AbsolutePosition { max_speed: up_to(max_dps), angle: degrees(angle_deg) }
 }
 
-/// 0xA9: to this angle, with at most this part of the rated torque.
+/// 0xA9: to this angle, with no more than this percentage of the rated torque.
 pub fn grip_at(angle_deg: f32, percent_of_rated: u8) -> ForcePosition {
     ForcePosition {
         max_torque: percent(percent_of_rated),

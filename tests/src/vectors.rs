@@ -25,7 +25,7 @@ pub struct Row {
     pub section: String,
     /// Number of the example in its section, from 1.
     pub example: u32,
-    /// Which bus.
+    /// The bus.
     pub bus: Bus,
     /// Who sends it.
     pub direction: Direction,
@@ -40,7 +40,7 @@ pub struct Row {
     pub fields: Map<String, Value>,
     /// The manual's explanation.
     pub text: String,
-    /// Where print, text and tables disagree.
+    /// What is wrong, if print, text and tables disagree.
     pub misprint: Option<String>,
 }
 
@@ -112,8 +112,8 @@ pub fn rows() -> Vec<Row> {
     include_str!("../vectors/manual-v4.3.jsonl").lines().map(parse).collect()
 }
 
-/// A command of each kind: the manual's first example of it, or, for the three that have none (2.18,
-/// 2.27, 2.28), the command byte and seven NULL.
+/// A command of each kind: the manual's first example. The three kinds without one (2.18, 2.27, 2.28) have the command
+/// byte and seven NULL.
 pub fn one_of_each() -> Vec<AnyCommand> {
     let rows = rows();
     let command = |&opcode: &Opcode| {
@@ -139,7 +139,7 @@ pub fn sections() -> BTreeMap<&'static str, &'static str> {
     headings().collect()
 }
 
-/// A line below a heading in `kinds.txt`.
+/// An indented line below a heading in `kinds.txt`.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its section.

@@ -1,4 +1,4 @@
-//! CAN and RS485 under one name, so that a test of both is written once.
+//! CAN and RS485 under one name, so that one test covers both.
 
 use std::fmt::Debug;
 
@@ -14,14 +14,14 @@ use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
 /// One of the two simulated buses, at 1 Mbit/s.
 pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
-    /// The loop that runs a master on it.
+    /// The loop that runs a master on this bus.
     type Runner<const N: usize>: Runner<N, Error: Debug + PartialEq>;
     /// Its name in messages.
     const NAME: &'static str;
     /// The library's own configuration for it.
     const CONFIG: Config;
 
-    /// A bus without stations, with this seed for its chance.
+    /// A bus without stations. The seed decides its random faults.
     fn world(seed: u64) -> World<Self>;
 
     /// A master on the bus, and its place.
@@ -33,10 +33,10 @@ pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
     /// Puts a node on the bus.
     fn seat(world: &World<Self>, node: impl Node<Self::Frame> + 'static) -> StationId;
 
-    /// A packet as it is on the wire.
+    /// The frame of a packet.
     fn frame(packet: &Packet) -> Self::Frame;
 
-    /// The packet in a frame of the master's, or of a drive's; on RS485, the one that these bytes end.
+    /// The packet in a frame of the master or of a drive. On RS485 the packet may end in these bytes.
     fn packet(receiver: &mut Receiver, frame: &Self::Frame, of_master: bool) -> Option<Packet>;
 }
 
