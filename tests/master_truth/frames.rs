@@ -106,7 +106,7 @@ impl Truth {
         } else {
             ""
         };
-        // Commands that a stop refuses. Those are also 0xB6, for reports.
+        // A stop refuses these commands, and so it refuses 0xB6 (reports).
         if is_dangerous || name.byte == 0xB6 {
             (page.is_told, page.tellings) = (false, 0);
         }

@@ -141,8 +141,8 @@ impl Truth {
         if took > within {
             self.breaks(format!("no first stop is tried for {took}, and not {within}"));
         }
-        // The read that shows an echo may go first, to a motor that seems to be there. Without it, each stop would wait
-        // for an echo in vain.
+        // The read that shows an echo may come before a first stop. It goes to a motor that seems to be there: a read to
+        // a dead motor would only cost time.
         let asks = |packet: &Packet| shows_echo(packet) && self.doubt.is_open();
         if let Some(packet) = packet.filter(|packet| !self.is_stop(packet) && !asks(packet)) {
             self.breaks(format!("{packet:X?} goes before a first stop"));

@@ -1,4 +1,4 @@
-//! What really happened: what callers asked, what the bus took, what drives heard and sent, and what came back. Frames
+//! What really happened: the calls, the commands that the bus took, what drives heard and sent, and the replies. Frames
 //! are distinguished by their tokens.
 
 use std::collections::{HashMap, HashSet};
@@ -18,7 +18,7 @@ use super::stops::{Answers, Offers, StopToAll};
 use super::to_all::ToAll;
 use super::turning::Turning;
 
-/// In byte 3 of a reply with values: the command was executed, and not only sent back.
+/// Byte 3 of a reply with values: the command was executed, not only handed back.
 pub(crate) const DONE: u8 = 0xD0;
 /// A motor that was silent for this long may have restarted.
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
@@ -26,57 +26,57 @@ pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 /// A bus that takes nothing for this long carries nothing.
 const STUCK_AFTER: Duration = Duration::from_millis(5);
 
-/// What became of one command.
+/// What happened to one command.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sending {
-    /// When its caller gave it to the master.
+    /// When its caller put it.
     pub(crate) put: u64,
     /// How often the bus took it and did not hand it back.
     pub(crate) taken: u32,
     pub(crate) last_taken: Instant,
-    /// It was handed back when its time may have been up, and that may not have been reported yet.
+    /// It was handed back when its time may have been up, which may not have been reported yet.
     pub(crate) was_lost_and_back: bool,
     /// How often it reached a drive, and how often that drive ignored it.
     pub(crate) heard: u32,
     pub(crate) ignored: u32,
-    /// How often it did since the bus took it last: stops all have the same name.
+    /// How often it reached a drive since the bus took it last. (All stops have the same name.)
     pub(super) heard_since: u32,
     /// How often a reply to it reached the master.
     pub(crate) delivered: u32,
-    /// The last attempt was answered, and in time even by the master's longest bound.
+    /// The last attempt was answered, in time for the strictest of the master's bounds.
     pub(crate) was_answered: bool,
 }
 
 impl Sending {
-    /// No caller has given it to the master, nor has the bus taken it.
+    /// Whether no caller has put it and the bus has not taken it.
     pub(super) fn was_never_put(&self) -> bool {
         self.put == 0 && self.taken == 0
     }
 }
 
-/// What is true of one motor.
+/// The truth about one motor.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Page {
     pub(crate) sendings: HashMap<Name, Sending>,
     /// Commands with a reply that the bus took.
     pub(crate) asking: u64,
-    /// How many of these were handed back when their time may have been up: that is no loss, but may be reported.
+    /// How many of these were handed back when their time may have been up. They are not lost, but may be reported so.
     pub(crate) lost_and_back: u64,
-    /// And how many when another master had been answered meanwhile, or an answer had come twice, which may have passed
-    /// for theirs.
+    /// How many of these were handed back after an answer that may have passed for theirs: an answer to another master,
+    /// or one that came twice.
     pub(crate) answered_and_back: u64,
-    /// When such an answer last came, of each question.
+    /// When another master was last answered, for each question.
     pub(super) strangers_answered_at: HashMap<Question, Instant>,
-    /// When the last of these was, and how many in a row were, with nothing heard of the motor since.
+    /// When the last command with a reply was taken, and how many in a row were since the motor was heard.
     pub(super) asked_at: Instant,
     pub(super) unanswered: u32,
-    /// When the loop last asked it for what shows an echo.
+    /// When the loop last sent it the read that shows an echo.
     pub(super) asked_for_echo_at: Instant,
-    /// The last one was answered in time.
+    /// The last command with a reply was answered in time.
     pub(super) answered_newest: bool,
     pub(super) newest_set_point: u32,
     pub(crate) set_points: SetPoints,
-    /// The caller has stopped it and not lifted that; and when.
+    /// A caller has stopped it and not lifted that, and when.
     pub(crate) is_stopped: bool,
     pub(crate) stop_called: u64,
     pub(super) stop_called_at: Instant,
@@ -84,95 +84,95 @@ pub(crate) struct Page {
     pub(super) answers: Answers,
     /// The stop is neither confirmed nor given up.
     pub(crate) is_stopping: bool,
-    /// It may be, since then: what was to end the motion of all may have been dropped meanwhile.
+    /// A stop may be in flight since then: the command to all that began it may have been dropped meanwhile.
     pub(crate) may_be_stopping: bool,
-    /// It was reported that the stop is not confirmed; the stop goes on while it is in force.
+    /// The stop was reported as unconfirmed. It goes on while it is in force.
     pub(crate) was_given_up: bool,
     pub(crate) may_be_stopping_since: u64,
-    /// What it must have heard since to have stopped so: since the first call, if others follow before that is lifted.
+    /// The drive must have heard a stop after this: after the first call, if others follow before it is lifted.
     pub(super) stop_due_since: u64,
-    /// What stops it, and what may stop it nevertheless, if that may have been dropped.
+    /// The command that stops it, and others that may be in flight instead.
     pub(crate) stop: Name,
     pub(super) other_stops: Vec<Name>,
-    /// What stopped it before, if that was in flight: a controller may still hand it back.
+    /// The stop before, if that was in flight. A controller may still hand it back.
     pub(super) stop_before: Option<Name>,
-    /// It has heard the stop to all, an answer to which confirms it.
+    /// It has heard the stop to all. Its answer to that confirms its own stop.
     pub(super) is_told_with_all: bool,
-    /// The bus has taken a stop of it, and nothing since that a stop refuses. The first stop of each other motor goes
-    /// before its next.
+    /// The bus has taken a stop of this motor, and since then nothing that a stop refuses. The first stops of all other
+    /// motors come before its next one.
     pub(super) is_told: bool,
-    /// How many it has taken since then.
+    /// How many stops the bus has taken since then.
     pub(super) tellings: u32,
-    /// One of these was handed back, and another stop is to follow: for all that the master knows, it was that one.
+    /// One of these was handed back, and another stop is to follow. The master may take it for that one.
     pub(super) may_be_untold: bool,
-    /// So it was when this stop was called.
+    /// The value of `is_told` when this stop was called.
     pub(super) was_told: bool,
-    /// It may have begun anew, so it is not known which attempt is the first.
+    /// The stop may have begun anew, so it is not known which attempt is the first.
     pub(super) is_begun_anew: bool,
-    /// When it was called, in steady time.
+    /// When the stop was called, in steady time.
     pub(super) stopping_since: Duration,
-    /// When it was last told to restart, in the world's time.
+    /// When the bus last took a command to restart it, in the world's time.
     pub(super) reset_at: Option<Instant>,
-    /// When a caller stopped it last, whether that began anything or not.
+    /// When a caller last stopped it, even if that began nothing.
     pub(super) stop_asked: u64,
     pub(crate) is_confirmed: bool,
     pub(crate) stops_taken: u32,
     pub(crate) stop_heard: u64,
-    /// When the newest of the commands that end motion was put, of those that the bus took.
+    /// When the newest command that ends motion was put, of those that the bus has taken.
     pub(super) ended: u64,
-    /// The same for commands that went to it alone or as a stop; and for those that a drive heard.
+    /// The same for commands to it alone or stops, and for those that the drive has heard.
     pub(super) ended_alone: u64,
     pub(super) ended_heard: u64,
-    /// When a caller's request that ends motion was put, whose outcome was not reported yet.
+    /// When a caller's open request that ends motion was put.
     pub(super) ends: Option<u64>,
-    /// A move came after that, out of a mailbox: when.
+    /// When a move came out of a mailbox after that request.
     pub(super) moved_behind: u64,
-    /// When a caller last told all to end their motion, and when to do so by switching off.
+    /// When a caller last put a command to all that ends motion, and when one that switches off.
     pub(super) ended_with_all: u64,
     pub(super) let_go: u64,
-    /// When it heard each of the commands that end motion last.
+    /// When it last heard each command that ends motion, by command byte.
     pub(super) endings_heard: HashMap<u8, u64>,
-    /// When it last restarted, and when that was reported.
+    /// When it last restarted, if that was not reported yet.
     pub(crate) restarted: Option<u64>,
-    /// The master has told it to restart, and not reported that.
+    /// The master has sent it a command to restart and not reported a restart since.
     pub(crate) was_reset: bool,
     pub(crate) awaits_resume: bool,
-    /// A restart was reported that was none, or a wrong place, for this reason, and no other since.
+    /// A false restart or a wrong angle was reported last, for this reason.
     pub(super) misled: Option<(Excuse, Instant)>,
     pub(crate) turning: Turning,
     pub(crate) run_time: RunTime,
     /// How often the master has heard that the motor has lost it.
     pub(crate) lost_master_delivered: u32,
-    /// It has said so, and none of these messages has reached the master.
+    /// It has reported that it has lost its master, and none of these messages has reached the master.
     pub(crate) lost_master_untold: bool,
-    /// As far as the master has heard, it ignores the next command.
+    /// By what has reached the master, it ignores the next command.
     pub(crate) ignores_next: bool,
     pub(crate) reports: HashSet<u32>,
-    /// What it has answered.
+    /// All data that it has answered.
     pub(crate) said: HashSet<Data>,
-    /// When the master last heard of it.
+    /// When the master last heard it.
     pub(crate) delivered_at: Option<Instant>,
-    /// The longest time without hearing of it, since its restart was reported.
+    /// The longest time without hearing it since its restart was reported.
     pub(crate) longest_silence: Duration,
     pub(crate) excuses: Excuses,
 }
 
-/// What is true of all. Its time is the master's.
+/// The truth about everything. Times are the master's, unless the field says otherwise.
 #[derive(Debug)]
 pub(crate) struct Truth {
     pub(crate) pages: Vec<Page>,
-    /// Counts what happens, so that earlier and later are distinguished.
+    /// Counts events, to show which came earlier.
     moment: u64,
     pub(crate) now: Instant,
     /// The same in the world's time.
     pub(super) world: Instant,
-    /// How far the master's clock is ahead of the world's, and its steps.
+    /// How far the master's clock is ahead of the world's, and its step.
     pub(crate) clock_ahead: Duration,
     pub(crate) clock_step: Duration,
     pub(crate) late_window: Duration,
-    /// Each reply counts as lost that does not come within this.
+    /// A reply that does not come within this time counts as lost.
     pub(super) reply_timeout: Duration,
-    /// No reply counts as lost that comes within this.
+    /// A reply that comes within this time does not count as lost.
     pub(super) longest_response: Duration,
     pub(crate) set_point_max_age: Duration,
     pub(super) restart_takes: Duration,
@@ -180,24 +180,25 @@ pub(crate) struct Truth {
     pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
-    /// It has failed, and a task that was dropped then may have kept the failure for its next round. What is put before
-    /// that may be dropped in it.
+    /// The port has failed, and a dropped task may have kept the failure for its next round. Commands that are put
+    /// before that round may be dropped in it.
     pub(super) failure_is_kept: bool,
     pub(super) clocks: Clocks,
-    /// When the bus last did not take a frame although it had room, and when it took anything; in the world's time.
+    /// When the bus last failed or refused a frame although it had room, and when it last took a frame, in the world's
+    /// time.
     bus_failed_at: Option<Instant>,
     pub(super) bus_took_at: Instant,
-    /// When something was last sent to all.
+    /// When the bus last took a command to all.
     pub(super) last_to_all: Option<Instant>,
     /// The last command of a caller to all.
     pub(crate) to_all: Option<ToAll>,
     /// The motors that have a place.
     pub(super) known: MotorSet,
-    /// Motors that are to be off until that is lifted.
+    /// Motors that a stop keeps off until it is lifted.
     pub(super) switched_off: MotorSet,
-    /// How many got their own command in place of one that was to end the motion of all.
+    /// How many motors got their own command instead of one to all that ends motion.
     pub(crate) turned: u64,
-    /// An answer to the stop to all counts for a motor's own stop: not on a line.
+    /// An answer to the stop to all confirms a motor's own stop. Not on a line.
     pub(super) stop_to_all_is_answered: bool,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
@@ -205,19 +206,19 @@ pub(crate) struct Truth {
     pub(super) doubt: Doubt,
     /// Two motors have this id.
     pub(crate) twin: Option<MotorId>,
-    /// Each motor's first stop comes within this, if a bound can be given.
+    /// Each motor's first stop comes within this time, if there is such a bound.
     pub(crate) first_stops_within: Option<Duration>,
-    /// Flipped bits pass the CRC, so that no token can be trusted.
+    /// Flipped bits pass the CRC, so no token can be trusted.
     pub(crate) flips: bool,
-    /// The wire itself changes the order of frames, which no real one does. What then comes after a command that ends
+    /// The wire changes the order of frames, which no real wire does. So a frame that comes after a command that ends
     /// motion may be older.
     pub(crate) reorders: bool,
-    /// What was found broken.
+    /// The violations found.
     pub(crate) broken: Vec<String>,
     pub(crate) excused: HashMap<Excuse, u64>,
 }
 
-/// A handle of the truth.
+/// A shared handle of the truth.
 #[derive(Clone, Debug)]
 pub(crate) struct Book(Arc<Mutex<Truth>>);
 
@@ -259,14 +260,14 @@ impl Book {
         })))
     }
 
-    /// The truth; not while the world runs.
+    /// Locks the truth. Do not hold the guard while the world runs.
     pub(crate) fn open(&self) -> MutexGuard<'_, Truth> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Page {
-    /// As far as the caller can know, so that nothing may move it.
+    /// Whether it has restarted as far as a caller can know, so that nothing may move it.
     pub(crate) fn has_restarted(&self) -> bool {
         self.awaits_resume || self.turning.has_jumped()
     }
@@ -276,7 +277,7 @@ impl Page {
         self.is_stopping && !is_told
     }
 
-    /// This stops it, unless that was dropped.
+    /// Notes that this command stops it, unless it was dropped.
     pub(super) fn may_be_stopping(&mut self, stop: Name, since: u64) {
         if self.is_stopping {
             self.is_begun_anew = true;
@@ -318,13 +319,13 @@ impl Truth {
     }
 
     pub(crate) fn breaks(&mut self, what: impl Into<String>) {
-        // One is enough, and thousands would follow.
+        // A few are enough. Thousands would follow.
         if self.broken.len() < 5 {
             self.broken.push(what.into());
         }
     }
 
-    /// A caller has given this to the master.
+    /// A caller has put this command.
     pub(crate) fn put(&mut self, motor: MotorId, channel: Channel, data: &Data) {
         let (put, now, max_age) = (self.next_moment(), self.now, self.set_point_max_age);
         let failure_is_kept = self.failure_is_kept;
@@ -343,7 +344,7 @@ impl Truth {
         }
     }
 
-    /// Whether this is a stop of the master's own, or a command that ends the motion of all and goes to each motor
+    /// Whether this is one of the master's own stops, or a command to all that ends motion and goes to each motor
     /// separately.
     pub(super) fn is_stop(&self, packet: &Packet) -> bool {
         let name = Name::of(packet);
@@ -354,12 +355,12 @@ impl Truth {
             || matches!(packet.channel, Channel::Command(Target::Motor(motor)) if is_turned(&self.pages[motor.index()]))
     }
 
-    /// The name for a doubled frame of this motor.
+    /// The excuse for a doubled frame of this motor.
     pub(crate) fn doubled(&self, motor: MotorId) -> Excuse {
         if self.twin == Some(motor) { Excuse::TwoMotorsOfOneId } else { Excuse::Doubled }
     }
 
-    /// A drive or the bus has doubled something of this motor.
+    /// A drive or the bus has doubled a frame of this motor.
     pub(crate) fn was_doubled(&mut self, motor: MotorId) {
         let (excuse, now, window) = (self.doubled(motor), self.now, self.late_window);
         self.page(motor).excuses.note_doubling(excuse, now, window);
@@ -372,7 +373,7 @@ impl Truth {
         page.run_time.begins_at_zero();
     }
 
-    /// The port has failed or refused: what waits may be dropped.
+    /// The port has failed or refused. Pending commands may be dropped.
     pub(crate) fn port_has_failed(&mut self) {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
         self.what_all_were_told_may_be_dropped();
@@ -380,19 +381,19 @@ impl Truth {
         self.doubt.port_has_failed();
     }
 
-    /// It has failed in receiving.
+    /// The port has failed while receiving.
     pub(crate) fn receiving_has_failed(&mut self) {
         self.port_has_failed();
         self.bus_has_failed();
         self.failure_is_kept = true;
     }
 
-    /// The loop has reported a failure: it keeps none.
+    /// The loop has reported a failure, so it keeps none.
     pub(crate) fn failure_is_told(&mut self) {
         self.failure_is_kept = false;
     }
 
-    /// The port is full. That says something of the bus only if it lasts.
+    /// The port is full. If that lasts, the bus has failed.
     pub(crate) fn port_is_full(&mut self) {
         if self.world - self.bus_took_at > STUCK_AFTER {
             self.bus_has_failed();
@@ -405,7 +406,7 @@ impl Truth {
         self.clocks.disturb(Quiet::None);
     }
 
-    /// Whether the bus carries what it is given, and has done so for as long as anything from before may come.
+    /// Whether the bus carries frames, and has done so for so long that nothing from before a failure may still come.
     pub(super) fn is_steady(&self) -> bool {
         self.bus_failed_at.is_none_or(|at| self.world - at > self.late_window)
     }

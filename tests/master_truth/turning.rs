@@ -1,4 +1,4 @@
-//! Shafts that turn, drives that lose their turns, and what shows that in the feedback of a stream.
+//! Shafts that turn, drives that lose their turns, and how the feedback of a stream shows that.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::dice::Dice;
@@ -12,7 +12,7 @@ const HALF_A_TURN: i64 = 180;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shaft {
     speed_dps: i64,
-    /// Where it was when it began, in degrees.
+    /// Its angle at the beginning, in degrees.
     began_at: i64,
     began: Instant,
 }
@@ -39,28 +39,28 @@ impl Shaft {
         self.speed_dps.abs() == FASTEST_DPS
     }
 
-    /// The drive restarts, and knows no whole turns any more.
+    /// The drive restarts and forgets whole turns.
     pub(crate) fn loses_turns(&mut self, now: Instant) {
         (self.began_at, self.began) = (self.degrees(now).rem_euclid(360), now);
     }
 }
 
-/// What the feedback of a stream has shown of where a motor is.
+/// What the feedback of a stream has shown about a motor's angle.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Turning {
     /// The last angle that was reported right after it was measured.
     last: Option<(i16, Instant)>,
-    /// It jumped then, and no restart was reported yet.
+    /// When the angle jumped, if no restart was reported since.
     jumped: Option<Instant>,
-    /// Until then feedback may be that to an earlier set-point, which was given up. If its own feedback then comes, it
-    /// may be taken for that to the next set-point. So this lasts for as long as the stream.
+    /// Until then feedback may belong to an earlier set-point that was given up. The right feedback may then pass for
+    /// the feedback to the next set-point, and so on for as long as the stream lasts.
     in_doubt_until: Instant,
     /// Its shaft turns by more than half a turn while a reply may be late.
     pub(crate) is_fast: bool,
 }
 
 impl Turning {
-    /// An angle is reported. It may or may not be certain that it was measured just before.
+    /// An angle is reported. `is_certain`: it was certainly measured just before.
     pub(crate) fn told(&mut self, angle: i16, is_certain: bool, now: Instant, window: Duration) {
         let is_in_doubt = now <= self.in_doubt_until;
         if is_in_doubt {
@@ -79,7 +79,7 @@ impl Turning {
         }
     }
 
-    /// Its next angle shows nothing, since something else was reported of it.
+    /// The next angle shows no jump, because feedback without an angle was reported.
     pub(crate) fn is_unknown(&mut self) {
         self.last = None;
     }
@@ -88,22 +88,22 @@ impl Turning {
         (self.last, self.jumped) = (None, None);
     }
 
-    /// A set-point was given up, or pushed aside by a stop.
+    /// A set-point was given up or pushed aside by a stop.
     pub(crate) fn was_given_up(&mut self, until: Instant) {
         self.in_doubt_until = self.in_doubt_until.max(until);
     }
 
-    /// Its reported angle differs from where it is now by so much that this may seem a jump.
+    /// Whether a reported angle may be so old that it seems a jump.
     pub(crate) fn may_seem_to_jump(&self, now: Instant) -> bool {
         self.is_fast && now <= self.in_doubt_until
     }
 
-    /// It has jumped, so that nothing may move it.
+    /// Whether the angle has jumped, so that nothing may move the motor.
     pub(crate) fn has_jumped(&self) -> bool {
         self.jumped.is_some()
     }
 
-    /// A restart that shows by a jump of the angle has not been reported for this long.
+    /// Whether a restart that a jump of the angle shows was not reported within this time.
     pub(crate) fn is_restart_untold(&self, now: Instant, within: Duration) -> bool {
         self.jumped.is_some_and(|since| now - since > within)
     }

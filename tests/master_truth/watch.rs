@@ -1,4 +1,4 @@
-//! Checks that everything ends in time, and that the master says when it has to be polled.
+//! Checks that everything ends in time, and that `poll_at` is right.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -10,18 +10,18 @@ use super::scenarios::Trouble;
 use super::truth::Page;
 use super::world::Rough;
 
-/// How often the caller looks.
+/// How often this is checked.
 const WATCHED_EVERY: Duration = Duration::from_millis(1);
 
 impl<W: Rough> Session<W> {
-    /// What is in flight must end in time.
+    /// Everything in flight must end in time.
     pub(super) fn watch(&mut self) {
         let now = self.now();
         if now - self.watched_at < WATCHED_EVERY {
             return;
         }
         self.watched_at = now;
-        // On a line a babbler keeps no sender off. On CAN it may win each arbitration.
+        // On a line a babbler does not keep others from sending. On CAN it may win each arbitration.
         let is_bus_full =
             W::NAME == "CAN" && self.scenario.trouble == Trouble::Babble && self.mischief.is_some();
         let is_free = self.oracle.broadcast.is_none();
@@ -65,7 +65,7 @@ impl<W: Rough> Session<W> {
         }
         if let Some(asked) = self.oracle.broadcast {
             let (longest, restart) = (self.bounds.broadcast(), self.bounds.restart());
-            // A Shutdown that waits for the end of a restart goes before a command that holds all.
+            // A Shutdown that waits for the end of a restart comes before a command that holds all.
             let rested = |page: &Page| page.reset_at.is_some_and(|at| at + restart + longest > now);
             let longest = if pages().any(rested) { longest + restart } else { longest };
             let late = check(1, clocks.calm - self.all_asked_since, longest);
@@ -76,8 +76,8 @@ impl<W: Rough> Session<W> {
         self.oracle.totals.slowest = slowest;
     }
 
-    /// After a round at this time nothing is due any more, unless the port has not taken it. Only what becomes due by
-    /// what the round itself has sent is left to the next.
+    /// After a round at this time nothing may be due any more, unless the port has not taken it. Something that became
+    /// due because of what the round sent may be left to the next round.
     pub(super) fn check_wake(&mut self, now: Instant, failures: u64) {
         let at = self.stage.host.wakes_at().filter(|at| *at <= now);
         let mut truth = self.stage.book.open();

@@ -1,5 +1,5 @@
-//! A hostile world: adapters that deliver in bursts, controllers that refuse, fail and hand back, coarse clocks,
-//! echoes, and drives like real ones.
+//! A hostile world: adapters that deliver in bursts, controllers that refuse, fail and hand frames back, coarse clocks,
+//! echoes, and drives that behave like real ones.
 
 mod tasks;
 
@@ -28,14 +28,14 @@ use super::hosts::Host;
 use super::scenarios::{Echo, Loop, Scenario};
 use super::truth::Book;
 
-/// Noise at each switch of direction, if there is any.
+/// The probability of noise at each switch of direction, if there is noise.
 const SWITCH_NOISE: f32 = 0.2;
-/// How long a controller that refuses does so, at the longest: longer than a bus needs to count as dead.
+/// The longest time for which a controller refuses. It is longer than a bus needs to count as dead.
 const LONGEST_REFUSAL_US: u64 = 30_000;
-/// One call in this many begins that, or fails.
+/// One call in this many begins a refusal, or fails.
 const SELDOM: u64 = 2_000;
 
-/// What a port of this world can fail with.
+/// The errors of a port of this world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RoughError {
     Made(ErrorKind),
@@ -73,14 +73,14 @@ struct Manner {
     refuses: bool,
     fails: bool,
     dice: Dice,
-    /// Nothing is taken before.
+    /// Nothing is taken before this time.
     refused_until: Instant,
-    /// Something was refused meanwhile.
+    /// The last call was refused.
     was_refused: bool,
 }
 
 impl Manner {
-    /// When what has come by now is handed over.
+    /// When bytes or frames that have come by now are handed over.
     fn delivery(&self, now: Instant) -> Instant {
         match self.burst.as_micros() {
             0 => now,
@@ -106,14 +106,14 @@ impl Manner {
     }
 }
 
-/// How a port and its clock behave.
+/// The manner of a port, shared with its clock.
 type Shared = Arc<Mutex<Manner>>;
 
 fn with<T>(manner: &Shared, work: impl FnOnce(&mut Manner) -> T) -> T {
     work(&mut manner.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// A clock of coarse steps that does not start at zero, and may jump.
+/// A clock that may have coarse steps, may not start at zero, and may jump.
 #[derive(Debug)]
 pub(crate) struct RoughClock<W: Wire> {
     clock: SimClock<W>,
@@ -141,7 +141,7 @@ impl<W: Wire> Clock for RoughClock<W> {
     }
 }
 
-/// A CAN port that behaves like this, and notes what passes it.
+/// A CAN port with such a manner. It notes the frames that pass.
 #[derive(Debug)]
 pub(crate) struct RoughCan {
     port: CanPort,
@@ -220,7 +220,7 @@ impl nb::Can for RoughCan {
         truth.tick(now);
         match can::decode(&frame) {
             Received::Packet(packet) => truth.delivered(&packet),
-            // Some drives say that they have lost their master in a shorter frame.
+            // Some drives report in a shorter frame that they have lost their master.
             Received::WrongLength { channel: Channel::Reply(motor), first: Some(0xF1), .. } => {
                 truth.pages[motor.index()].lost_master_delivered += 1;
             }
@@ -231,7 +231,7 @@ impl nb::Can for RoughCan {
     }
 }
 
-/// A serial port that behaves like this, and notes what passes it.
+/// A serial port with such a manner. It notes the frames that pass.
 #[derive(Debug)]
 pub(crate) struct RoughSerial {
     port: SerialPort,
@@ -260,7 +260,7 @@ impl RoughSerial {
         Err(error)
     }
 
-    /// How much it takes of this: sometimes only a part.
+    /// The part that it takes of these bytes, which may be all.
     fn part_of<'a>(&mut self, buf: &'a [u8]) -> Result<&'a [u8], RoughError> {
         self.fails()?;
         let is_part = with(&self.manner, |manner| manner.refuses && manner.dice.below(8) == 0);
@@ -274,7 +274,7 @@ impl RoughSerial {
         truth.offered(frame_of(buf).as_ref());
     }
 
-    /// A frame counts as taken with its first byte, whatever happens to the others.
+    /// A frame counts as taken with its first byte, whatever happens to the other bytes.
     fn note_taken(&self, buf: &[u8]) {
         if let Some(packet) = frame_of(buf) {
             let mut truth = self.book.open();
@@ -433,7 +433,7 @@ pub(crate) struct Stage<W: Rough> {
     /// The drives, in the order of their ids.
     pub(crate) drives: Vec<Arc<Mutex<Drive<W>>>>,
     pub(crate) stations: Vec<StationId>,
-    /// That of the master.
+    /// The master's place.
     pub(crate) port: StationId,
     pub(crate) book: Book,
 }

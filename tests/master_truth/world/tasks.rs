@@ -1,4 +1,4 @@
-//! The ports and the clock for tasks. They behave in the same way, and wait as tasks do.
+//! The ports and the clock for async tasks. They have the same manner, but await.
 
 use std::future::pending;
 
@@ -16,13 +16,13 @@ use super::{Book, Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared,
 /// A serial port that has taken a part of a frame takes the rest within this.
 const LONGEST_GAP_US: u64 = 500;
 
-/// One that holds it for this long carries nothing.
+/// If a port holds a frame for this long, the bus counts as failed.
 const STUCK: Duration = Duration::from_millis(5);
 
-/// A port that holds a frame for 20 ms takes nothing, as far as the loops know.
+/// The loops take a port that holds a frame for 20 ms for a failed one. This allows for less.
 const LONG: Duration = Duration::from_millis(15);
 
-/// Waits until then, in the world's time; forever without an end.
+/// Waits until this time of the world. `None` waits forever.
 async fn sleep<M: Medium>(world: &World<M>, until: Option<Instant>) {
     match until {
         Some(until) => world.clock().wait_until(until).await,
@@ -30,7 +30,7 @@ async fn sleep<M: Medium>(world: &World<M>, until: Option<Instant>) {
     }
 }
 
-/// A port that has something to send, and has not taken it: nothing else can be offered to it.
+/// A port that holds a frame and has not taken it yet. Nothing else can be offered to it meanwhile.
 struct Holds<M: Medium> {
     world: World<M>,
     book: Book,
@@ -53,14 +53,14 @@ impl<M: Medium> Drop for Holds<M> {
         if now - self.since > STUCK {
             truth.bus_has_failed();
         }
-        // A caller that has waited for this long may give up before that was sent.
+        // A caller that has waited for this long may give up before the frame was sent.
         if !self.has_taken || now - self.since > LONG {
             truth.port_has_failed();
         }
     }
 }
 
-/// Waits for as long as nothing is taken.
+/// Waits for as long as the port refuses.
 async fn wait_for_a_place<M: Medium>(world: &World<M>, manner: &Shared) {
     while with(manner, |manner| manner.refuses(world.now())) {
         let until = with(manner, |manner| manner.refused_until);
@@ -133,8 +133,8 @@ impl embedded_io_async::Write for RoughSerial {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
         self.note_offered(buf);
         let mut holds = Holds::new(&self.world, &self.book);
-        // A frame that is dropped before its first byte still counts as sent: no loop knows how much of it a port has
-        // taken. So if any are dropped, only the rest of a frame has to wait.
+        // A frame that is dropped before its first byte still counts as sent, because no loop knows how much of it a
+        // port has taken. So if futures are dropped, only the rest of a frame has to wait.
         if buf.len() < FRAME_LENGTH {
             let wait = with(&self.manner, |manner| manner.dice.below(LONGEST_GAP_US));
             sleep(&self.world, Some(self.world.now() + Duration::from_micros(wait))).await;
