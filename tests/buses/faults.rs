@@ -1,4 +1,4 @@
-//! Faults by chance and by hand, on both simulated buses, under the virtual clock.
+//! Random faults and faults by hand, on both simulated buses, under the virtual clock.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -77,7 +77,7 @@ fn a_fleets_seed_is_its_noise() {
 }
 
 /// A degree of play, with the motor held by its brake. The output's encoder of 10 bits reads half a degree to either
-/// side: 1.42 and -1.42 of its pulses, rounded down. The motor's encoder reads nothing of it.
+/// side: 1.42 and -1.42 of its pulses, rounded down. The motor's encoder does not see the play.
 #[test]
 fn the_outputs_encoder_sees_the_loads_side() {
     let mut p = ideal();

@@ -91,7 +91,7 @@ fn a_drive_holds_what_is_put_on_while_it_runs() {
         let fleet = holding(&model, 0.2, false);
         let drive = &fleet.drives[0];
         for (share, push) in [(0.6, 0.0), (0.6, 0.3), (0.2, 0.0)] {
-            // Twice the static friction could hide a push, so the push is well above that.
+            // Static friction could hide a push of up to twice its own torque, so the push is larger.
             let push_nm = -push * (model.rating.torque_nm + 8.0 * model.friction.static_nm);
             drive.with(|drive| {
                 drive.plant_mut().set_load(arm(&model, share)).unwrap();

@@ -140,7 +140,7 @@ fn the_rated_rise_is_met() {
         let locked = Actuation { brake_released: false, ..amps(sheet.rated.2 as f32) };
         let measured = m.advance(&locked, Duration::from_secs(50));
         close(f64::from(measured.motor_temperature_c), 84.0, 0.02);
-        // The output stage bears this for ever.
+        // The output stage can bear this permanently.
         assert!(measured.mos_temperature_c < 80.0, "{}: {measured:?}", sheet.name);
     }
 }

@@ -213,7 +213,7 @@ fn each_word_for_tests_is_used() {
     }
 }
 
-/// A line names a heading of `drive::decisions`, below which it says what a drive does.
+/// Lines name headings of `drive::decisions`. Each must exist, and each heading must be named.
 #[test]
 fn each_named_decision_is_there() {
     let decisions = include_str!("../../protocol-core/src/drive/decisions.rs");
