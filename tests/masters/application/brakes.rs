@@ -1,4 +1,4 @@
-//! What holds a shaft whose brake opens.
+//! Brakes that open and lock: a shaft is always held by its motor or by its brake.
 
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
@@ -21,20 +21,20 @@ on_both_buses! {
     after_a_shutdown_no_brake_opens_before_its_motor_holds
     after_a_motor_restarted_its_brake_does_not_open_before_it_holds
     no_load_falls_where_an_error_comes_while_brakes_open
-    no_brake_is_told_to_open_whose_motor_has_an_error
-    whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped
+    no_brake_is_opened_if_its_motor_has_an_error
+    an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped
     no_load_falls_in_a_shutdown
-    who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding
+    a_motor_that_misses_the_command_to_lock_its_brake_goes_on_holding
     what_would_fall_in_a_shutdown_is_held_again
     no_brake_of_a_motor_with_an_error_opens_in_a_shutdown
     no_load_falls_where_getting_ready_is_broken_off
-    who_lets_go_while_all_are_stopped_is_told_to_hold_again
+    a_motor_that_lets_go_while_all_are_stopped_is_made_to_hold_again
 }
 
-/// Longer than two commands to a motor take, shorter than any brake takes to open: 50 ms and more.
+/// Longer than two commands to a motor take, and shorter than any brake takes to open (50 ms and more).
 const MOMENT_MS: u32 = 10;
 
-/// Presses the button, and checks every moment until the motors run: a shaft with an open brake and no output falls.
+/// Presses the button and checks every moment until the motors run. A shaft with an open brake and no output falls.
 fn is_always_held<B: Moved>(firmware: &mut Firmware<'_, B>, bus: &BusFleet<B>) {
     firmware.press(millis(50));
     firmware.forget();
@@ -77,7 +77,7 @@ fn after_a_motor_restarted_its_brake_does_not_open_before_it_holds<B: Moved>() {
     is_always_held(&mut firmware, &bus);
 }
 
-/// Motors with a slow brake, if any, and each with a heavy arm that is stretched out.
+/// Motors with a heavy arm that is stretched out. If they have brakes, these are slow.
 pub(super) fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: -90.0 };
@@ -85,7 +85,7 @@ pub(super) fn loaded<B: Moved>(motors: u8, brakes: bool) -> BusFleet<B> {
     B::drives(&Fleet::new(motors).brakes(brakes).quirks(quirks).load(load)).unwrap()
 }
 
-/// The drive obeys 0x77 despite any errors, and then holds nothing.
+/// A drive with an error obeys 0x77 but does not hold its shaft.
 fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
     let falls = |motors: u8, after_ms: u64| {
         let bus = loaded::<B>(motors, true);
@@ -104,18 +104,18 @@ fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
         }
         let trouble = Trouble::Errors { motor: id(motors), flags: ErrorFlags::STALL };
         assert_eq!(firmware.troubles(), [trouble], "after {after_ms} ms");
-        // Or would, with the fastest brake.
+        // Or the load would fall, with the fastest brake.
         released_ms >= 50 || (angle_deg(last) - before_deg).abs() > 3.0
     };
-    // Before any brake has opened. Later a load falls until the brake has locked again, whatever locks it.
+    // Errors before any brake has opened. Later a load falls until the brake has locked again, whatever locks it.
     for (motors, until) in [(1, 50), (8, 110)] {
         let fallen: Vec<u64> = (0..until).filter(|&ms| falls(motors, ms)).collect();
         assert!(fallen.is_empty(), "{motors} motors, error after {fallen:?} ms");
     }
 }
 
-/// The error came after the motor was asked for errors.
-fn no_brake_is_told_to_open_whose_motor_has_an_error<B: Moved>() {
+/// The error comes after the firmware has read the motor's errors.
+fn no_brake_is_opened_if_its_motor_has_an_error<B: Moved>() {
     let bus = loaded::<B>(4, true);
     let mut firmware = Firmware::start(&bus, Panel::default());
     firmware.run_for(millis(1_500));
@@ -132,7 +132,7 @@ fn stays_locked<B: Moved>(firmware: &mut Firmware<'_, B>, drive: &DriveHandle) {
     }
 }
 
-fn whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped<B: Moved>() {
+fn an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let mut firmware = Firmware::running(&bus);
     firmware.press(millis(50));
@@ -153,7 +153,7 @@ fn whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped<B:
     assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
     let trouble = |motor| Trouble::Errors { motor: id(motor), flags: ErrorFlags::STALL };
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2)]);
-    // A motor that does not report it on its own is asked. Each error is reported once, until the button is pressed.
+    // Motors without error reports are asked. Each error is reported once, until the button is pressed.
     bus.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.run_for(millis(1_500));
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1)]);
@@ -162,7 +162,7 @@ fn whoever_has_an_error_is_told_and_locks_its_brake_also_when_all_are_stopped<B:
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1), trouble(1)]);
 }
 
-/// A firmware whose motors have run and hold, about to be shut down; and where their shafts are.
+/// A firmware whose motors have run and hold, ready for a shutdown, and the angles of the shafts.
 pub(super) fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, Vec<f64>) {
     let mut firmware = Firmware::running(bus);
     firmware.run_for(millis(500));
@@ -176,12 +176,12 @@ pub(super) fn is_off(drive: &DriveHandle) -> bool {
     !state(drive).output_on
 }
 
-/// How far each has fallen.
+/// How far each shaft has fallen.
 pub(super) fn fallen_deg<B: Moved>(bus: &BusFleet<B>, before_deg: &[f64]) -> Vec<f64> {
     bus.drives.iter().zip(before_deg).map(|(drive, before)| before - angle_deg(drive)).collect()
 }
 
-/// No shaft turns from now on, and nothing more is reported.
+/// Asserts that from now on no shaft turns and nothing more is reported.
 #[track_caller]
 pub(super) fn stays_held<B: Moved>(firmware: &mut Firmware<'_, B>, bus: &BusFleet<B>) {
     let held_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
@@ -205,8 +205,8 @@ fn no_load_falls_in_a_shutdown<B: Moved>() {
     has_none_fallen(&bus, &before_deg, 0.5);
 }
 
-/// It is back before the outputs would be switched off.
-fn who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding<B: Moved>() {
+/// The motor is back before the outputs would be switched off.
+fn a_motor_that_misses_the_command_to_lock_its_brake_goes_on_holding<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
     firmware.panel.is_button_down = true;
@@ -222,8 +222,8 @@ fn who_does_not_hear_that_its_brake_is_to_lock_goes_on_holding<B: Moved>() {
 
 /// Two brakes of three slip, or no motor has one.
 fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
-    // A shaft with a brake is not checked before the brake has had the time to lock. A motor without one is switched
-    // off.
+    // A shaft with a brake is checked only after the brake has had time to lock. A motor without a brake is switched
+    // off first.
     for (brakes, falling, most_deg, off) in [(true, 1..3, 25.0, 1), (false, 0..3, 8.0, 3)] {
         let bus = loaded::<B>(3, brakes);
         let (mut firmware, before_deg) = before_shutdown(&bus);
@@ -246,13 +246,13 @@ fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
             }
             _ => false,
         };
-        // The command and its answer: no motor that turns is switched off.
+        // Commands and their answers. No turning motor with a brake is switched off.
         assert_eq!(log.take().iter().filter(|record| is_told_off(record)).count(), 2 * off);
         stays_held(&mut firmware, &bus);
     }
 }
 
-/// Its motor would not hold with an open brake, so its brake stays locked even if it slips.
+/// The motor would not hold its shaft with an open brake, so the brake stays locked even if it slips.
 fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
@@ -266,13 +266,13 @@ fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     stays_locked(&mut firmware, &bus.drives[0]);
     let told = firmware.troubles();
     assert!(told.contains(&Trouble::Turns { motor: id(1) }), "{told:?}");
-    // The other is still held.
+    // The other motor is held again.
     assert!(!is_off(&bus.drives[1]));
     assert!(fallen_deg(&bus, &before_deg)[1].abs() < 25.0);
 }
 
-/// It hears nothing for so long that it cuts its output on its own, or it restarts; and it has no brake.
-fn who_lets_go_while_all_are_stopped_is_told_to_hold_again<B: Moved>() {
+/// A motor without a brake hears nothing for so long that it cuts its output on its own, or it restarts.
+fn a_motor_that_lets_go_while_all_are_stopped_is_made_to_hold_again<B: Moved>() {
     for is_restart in [false, true] {
         for gone_ms in [100, 550, 800, 3_000] {
             let bus = loaded::<B>(3, false);
@@ -299,7 +299,7 @@ fn who_lets_go_while_all_are_stopped_is_told_to_hold_again<B: Moved>() {
     }
 }
 
-/// While brakes are told to open, while they open, and once they have.
+/// While commands to open the brakes are sent, while the brakes open, and after that.
 fn no_load_falls_where_getting_ready_is_broken_off<B: Moved>() {
     for after_ms in (0..260).step_by(13) {
         for is_pressed in [false, true] {

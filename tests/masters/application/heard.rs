@@ -1,4 +1,4 @@
-//! Which motors must be heard, which must hear enough, and what is reported of the others.
+//! Which motors must be heard, which must hear enough commands, and what is reported of the others.
 
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble};
@@ -21,7 +21,7 @@ on_both_buses! {
     a_motor_that_ran_and_is_missing_keeps_the_others_from_starting
     a_motor_that_was_heard_once_must_be_found
     a_required_motor_must_be_found_wherever_is_searched
-    ids_that_nobody_answered_at_are_told_apart
+    ids_without_an_answer_are_reported_separately
     a_shutdown_after_a_search_that_failed_is_one_of_all
     an_error_is_noticed_at_once_where_motors_report_it
     motors_hear_enough_beside_stops_to_nobody
@@ -44,7 +44,7 @@ fn lost_their_master<B: Moved>(bus: &BusFleet<B>) -> Vec<MotorId> {
     bus.drives.iter().filter(lost).map(DriveHandle::motor).collect()
 }
 
-/// Each motor takes its protection only at the third attempt, 100 ms after the first.
+/// Each motor accepts its protection only at the third attempt, 100 ms after the first.
 fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let bus = B::drives(&Fleet::new(8)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -55,7 +55,7 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     for drive in &bus.drives {
         let is_protected = || drive.with(|drive| drive.settings().protection_timeout.raw() == 500);
         assert!(!is_protected());
-        // Not in the middle of another question, which would fail before the third attempt.
+        // Not during another exchange, which would fail before the third attempt.
         while B::NAME == "CAN" && firmware.runner.master().is_anything_in_flight() {
             firmware.run_for(Duration::from_micros(100));
         }
@@ -76,7 +76,7 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     assert_eq!(lost_their_master(&bus), []);
 }
 
-/// The motors hold, with their protection on, and a firmware that has restarted searches for 32.
+/// The motors hold with their protection on, while a restarted firmware searches for 32 motors.
 fn motors_hear_enough_while_others_are_looked_for<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     drop(Firmware::running(&bus));
@@ -106,7 +106,7 @@ fn a_motor_that_ran_and_is_missing_keeps_the_others_from_starting<B: Moved>() {
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }
 
-/// It confirmed the stop at the start: it is there, although no search has found it yet.
+/// The motor has confirmed the stop at the start, so it is there although no search has found it yet.
 fn a_motor_that_was_heard_once_must_be_found<B: Moved>() {
     let bus = B::drives(&Fleet::new(3)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -131,8 +131,8 @@ fn a_required_motor_must_be_found_wherever_is_searched<B: Moved>() {
     }
 }
 
-/// They are still stopped again, and a motor that confirms it is expected from then on.
-fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
+/// The firmware goes on stopping these ids. A motor that confirms a stop is expected from then on.
+fn ids_without_an_answer_are_reported_separately<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     unplug(&bus, &bus.drives[1]);
     let mut firmware = Firmware::start(&bus, Panel::default());
@@ -144,7 +144,7 @@ fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
         [Report::Unheard { motors: told(&[2, 3, 4, 5, 6, 7, 8]) }, stopped]
     );
     bus.world.mend(bus.drives[1].station());
-    // One of the seven gets its stop every half a second.
+    // Every half a second one of the seven gets a stop.
     firmware.run_for(millis(4_000));
     unplug(&bus, &bus.drives[1]);
     firmware.forget();
@@ -163,7 +163,7 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
     bus.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Stopped), millis(1_000));
-    // Also within a second of a stop by something else.
+    // Even within a second after a stop by something else.
     firmware.press(millis(1_100));
     firmware.run_for(millis(300));
     for drive in &bus.drives {
@@ -172,7 +172,7 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
     }
 }
 
-/// On CAN each motor reports its errors on its own; on RS485 they wait until they are asked.
+/// On CAN motors report their errors on their own. On RS485 the firmware has to ask for them.
 fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
     let is_can = matches!(B::setup().movement, Movement::Motion { .. });
     let taken = (0..8).map(|index| {
@@ -191,7 +191,7 @@ fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
     assert_eq!(slowest < millis(5), is_can, "{slowest}");
 }
 
-/// Seven ids without a motor: on RS485 the stops to them leave room for nothing else.
+/// Seven ids have no motor. On RS485 the stops to them would leave room for nothing else.
 fn motors_hear_enough_beside_stops_to_nobody<B: Moved>() {
     let bus = B::drives(&Fleet::new(1)).unwrap();
     drop(Firmware::running(&bus));
@@ -218,13 +218,13 @@ fn a_motor_that_stops_late_is_kept_holding<B: Moved>() {
     assert!(bus.drives.iter().all(|drive| !state(drive).communication_lost));
 }
 
-/// It was plugged in after the last stop: only the search has heard it.
+/// The motor was plugged in after the last stop, so only the search has heard it.
 fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     unplug(&bus, &bus.drives[1]);
     let setup = Setup { search: MotorId::all().take(2).collect(), ..B::setup() };
     let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
-    // Until no repeated stop is under way.
+    // Until no repeated stop is in flight.
     firmware.run_for(millis(1_700));
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Finding), millis(100));
@@ -232,7 +232,7 @@ fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
     unplug(&bus, &bus.drives[1]);
     firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(1_000));
-    // Sooner a press starts nothing.
+    // An earlier press starts nothing.
     firmware.run_for(millis(1_000));
     firmware.press(millis(50));
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(1_000));
@@ -247,7 +247,7 @@ fn two_motors_that_are_silent_are_a_dead_bus<B: Moved>() {
     firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
 }
 
-/// While the line waits for the motor that is gone, the others are not asked.
+/// While the line waits for the missing motor, the others are not asked.
 fn a_bus_that_waits_long_for_a_silent_motor_is_not_down<B: Moved>() {
     let patience = millis(25);
     let patient = Config {

@@ -1,4 +1,4 @@
-//! What a shutdown does with loads that their brakes do not hold, and with whatever interrupts it.
+//! Shutdowns with loads that their brakes do not hold, and shutdowns that are broken off.
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{Arm, Load};
@@ -19,10 +19,10 @@ use super::{Firmware, Moved, Panel, angle_deg, told_by, unplug};
 
 on_both_buses! {
     a_load_that_begins_to_fall_slowly_is_held_again
-    an_error_behind_a_brake_that_is_opened_again_locks_it_at_once
+    an_error_while_a_brake_is_opened_again_locks_it_at_once
     what_slips_in_a_shutdown_that_is_broken_off_is_held_again
-    an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
-    who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again
+    an_error_after_a_shutdown_that_is_broken_off_is_reported_and_the_others_are_held
+    a_motor_that_confirms_late_after_a_shutdown_that_is_broken_off_is_held_again
     what_is_held_again_is_held_on_when_another_confirms_late
     a_press_that_is_under_way_when_something_falls_starts_nothing
     a_motor_that_is_not_asked_keeps_no_other_from_being_held_again
@@ -36,7 +36,7 @@ fn shut_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
     firmware.panel.is_button_down = false;
 }
 
-/// No motor has a brake, and one that is checked at the moment in which it was switched off does not turn yet.
+/// The motor has no brake. A check at the moment when it is switched off would not see it turn yet.
 fn a_load_that_begins_to_fall_slowly_is_held_again<B: Moved>() {
     for mass_kg in [0.5, 1.0] {
         let arm = Arm { mass_kg, length_m: 0.4, down_deg: -90.0 };
@@ -51,8 +51,8 @@ fn a_load_that_begins_to_fall_slowly_is_held_again<B: Moved>() {
     }
 }
 
-/// The drive obeys 0x77 despite any errors, and then holds nothing.
-fn an_error_behind_a_brake_that_is_opened_again_locks_it_at_once<B: Moved>() {
+/// A drive with an error obeys 0x77 but does not hold its shaft.
+fn an_error_while_a_brake_is_opened_again_locks_it_at_once<B: Moved>() {
     let open_ms = |is_broken_off: bool, after_ms: u64| {
         let bus = loaded::<B>(8, true);
         let (mut firmware, _) = before_shutdown(&bus);
@@ -75,23 +75,24 @@ fn an_error_behind_a_brake_that_is_opened_again_locks_it_at_once<B: Moved>() {
     for is_broken_off in [false, true] {
         let open_ms: Vec<_> = (0..10).map(|after_ms| open_ms(is_broken_off, after_ms)).collect();
         assert!(open_ms.iter().any(|&ms| ms > 0), "no brake was open: {open_ms:?}");
-        // Before any brake has opened.
+        // Shorter than the fastest brake takes to open.
         assert!(open_ms.iter().all(|&ms| ms < 50), "{is_broken_off}: open for {open_ms:?} ms");
     }
 }
 
-/// What breaks a shutdown off.
+/// The cause that breaks a shutdown off.
 #[derive(Clone, Copy, Debug)]
 enum Why {
     Button,
     BusError,
-    /// Another motor.
+    /// Another motor is silent.
     Silent,
 }
 
-/// During it no drive holds, and the stop that breaks it off has no effect behind a brake that was told to lock.
+/// During a shutdown no drive holds. If a brake has had its command to lock, the stop that breaks the shutdown off has
+/// no effect on its motor.
 fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
-    // While the brakes lock, while the outputs are switched off, and while a motor that turns is told to hold again.
+    // While the brakes lock, while the outputs are switched off, and while a turning motor gets commands to hold again.
     for after_ms in [2, 25, 100, 190, 202, 204, 206, 208, 210, 215] {
         for why in [Why::Button, Why::BusError, Why::Silent] {
             let bus = loaded::<B>(3, true);
@@ -102,7 +103,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             match why {
                 Why::Button => {
                     firmware.press(millis(30));
-                    // A person who sees something fall presses again, as soon as that cannot start anything.
+                    // A person who sees something fall presses again, when that cannot start anything.
                     if after_ms < 100 {
                         firmware.run_for(millis(60));
                         firmware.press(millis(30));
@@ -115,7 +116,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             let told = &firmware.panel.reports;
             assert!(!is_off(&bus.drives[1]), "{why:?} after {after_ms} ms: {told:?}");
             let fallen = fallen_deg(&bus, &before_deg);
-            // It falls while the silent motor is waited for, too.
+            // It also falls while the firmware waits for the silent motor.
             let most_deg = if matches!(why, Why::Silent) { 45.0 } else { 30.0 };
             assert!(
                 fallen[1] < most_deg && fallen[0].abs() < 0.5,
@@ -132,7 +133,7 @@ pub(super) fn break_off<B: Moved>(firmware: &mut Firmware<'_, B>) {
     app.handle_bus_error(&mut Moment { now, master: runner.master(), board: panel });
 }
 
-fn an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held<B: Moved>() {
+fn an_error_after_a_shutdown_that_is_broken_off_is_reported_and_the_others_are_held<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
     bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
@@ -148,13 +149,14 @@ fn an_error_behind_a_shutdown_that_is_broken_off_is_told_and_the_others_are_held
     assert!(!is_off(&bus.drives[1]));
     assert_eq!(state(&bus.drives[2]).brake, BrakeCommand::LOCK);
     let fallen = fallen_deg(&bus, &before_deg);
-    // It fell until its brake had locked, which takes up to 150 ms.
+    // The third arm fell until its brake had locked, which takes up to 150 ms.
     assert!(fallen[1] < 30.0 && fallen[2] < 16.0, "{fallen:?}");
     firmware.stays_stopped();
 }
 
-/// It was told to lock its brake, and is back in each of the states after that; or it is gone only when it is checked.
-fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
+/// The motor has had the command to lock its brake and comes back in each of the states after that. Or it is lost only
+/// when it is checked.
+fn a_motor_that_confirms_late_after_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
     for cut_while_looking in [false, true] {
         for back_after_ms in [100, 205, 215, 300, 600, 700, 2_000] {
             let bus = loaded::<B>(3, true);
@@ -186,7 +188,7 @@ fn who_confirms_late_behind_a_shutdown_that_is_broken_off_is_held_again<B: Moved
     }
 }
 
-/// A person who presses just then may have seen it: it counts like a press right after that.
+/// A person who presses at that moment may have seen the fall. It counts like a press right after it.
 fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, _) = before_shutdown(&bus);
@@ -205,7 +207,7 @@ fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Finding)), 0);
 }
 
-/// Nobody can ask it whether its shaft stands, since it reports that on its own (0xB6).
+/// The firmware cannot ask a motor whether its shaft stands if the motor reports that on its own (0xB6).
 fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
@@ -228,7 +230,7 @@ fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     firmware.stays_stopped();
 }
 
-/// Also if it stops by switching off.
+/// Even if the product stops by switching off.
 fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let setup = Setup { stop: StopKind::Off, ..B::setup() };
@@ -249,7 +251,7 @@ fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
     assert!((angle_deg(&bus.drives[1]) - held_deg).abs() < 0.5);
 }
 
-/// At the start, when an earlier firmware may have left the motors holding, and when anything is wrong.
+/// At the start, when an earlier firmware may have left the motors holding, and at every later stop.
 fn a_product_that_stops_by_switching_off_holds_nothing<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     drop(Firmware::running(&bus));
