@@ -145,7 +145,7 @@ fn flipped(mut frame: [u8; 13], bits: &[usize]) -> [u8; 13] {
 fn assert_hides_none(bad: &[u8], behind: &[[u8; 13]]) {
     for good in behind {
         let line = Line::after(&[bad, good, bad, good, good].concat());
-        assert_eq!(line.frames, [*good; 3], "behind {bad:02X?}");
+        assert_eq!(line.frames, [*good; 3], "after {bad:02X?}");
         assert_eq!((line.discarded, line.held()), (2 * bad.len(), 0), "{bad:02X?}");
     }
 }

@@ -242,7 +242,7 @@ impl State {
             let health = self.arm.master().health(motor);
             let is_heard = health.last_seen.is_some() || health.presence == Presence::Present;
             if is_heard && !self.line.drive_of(motor).is_there {
-                return Err("who is not there seems to be heard".into());
+                return Err("a motor that is not there seems to be heard".into());
             }
         }
         Ok(())
@@ -257,7 +257,7 @@ impl State {
                     return Ok(());
                 }
                 if !self.line.drive_of(ticket.motor()).has_executed(byte) {
-                    return Err("what was not executed is answered".into());
+                    return Err("a command that was not executed is answered".into());
                 }
                 let is_its = data[0] == byte && (byte == 0x9A) == (data[1..] != [0; 7]);
                 if is_its { Ok(()) } else { Err("an answer has wrong values".into()) }
@@ -267,7 +267,7 @@ impl State {
                 let is_well = self.line.drive_of(ticket.motor()).is_there
                     && self.adapter.most_faults - self.faults_left < 2;
                 if failure == Failure::NoReply && is_well {
-                    return Err("a motor that is well counts as silent".into());
+                    return Err("a working motor counts as silent".into());
                 }
                 Ok(())
             }
@@ -282,7 +282,7 @@ impl State {
                 Err("a stop is confirmed, and not heard".into())
             }
             Event::StopUnconfirmed { motor } if self.line.drive_of(motor).is_there => {
-                Err("the stop of a motor that is well is not confirmed".into())
+                Err("the stop of a working motor is not confirmed".into())
             }
             _ => Ok(()),
         }

@@ -216,7 +216,7 @@ pub(crate) fn check_poll_at<const N: usize>(
         return Err("something is sent before poll_at".into());
     }
     if master.poll_event().is_some() {
-        return Err("something is told before poll_at".into());
+        return Err("something is reported before poll_at".into());
     }
     Ok(())
 }

@@ -213,9 +213,11 @@ impl<W: Rough> Session<W> {
             if page.set_points.is_dropped_for_nothing(now, RESTART_IS_TOLD) {
                 truth.breaks(format!("a set-point of motor {motor} was dropped for nothing"));
             } else if page.turning.is_restart_untold(now, RESTART_IS_TOLD) {
-                truth.breaks(format!("the angle of motor {motor} jumps, and nothing is told"));
+                truth.breaks(format!("the angle of motor {motor} jumps, and nothing is reported"));
             } else if page.run_time.is_restart_untold(now) {
-                truth.breaks(format!("motor {motor} has run for less long, and nothing is told"));
+                truth.breaks(format!(
+                    "motor {motor} has run for less long, and nothing is reported"
+                ));
             }
         }
         if self.scenario.conditions.jumps && self.dice.below(20_000) == 0 {

@@ -67,9 +67,9 @@ impl Truth {
             let page = self.page(motor);
             let is_asked = page.is_stopping || page.may_be_stopping;
             let wrong = if !is_asked {
-                Some("and is not to stop")
+                Some("and must not stop")
             } else if name.byte == STOP && name.token == 0 && page.stop_asked < page.let_go {
-                Some("behind what has let all go")
+                Some("after a command that has let all go")
             } else {
                 None
             };
@@ -94,7 +94,7 @@ impl Truth {
         } else if name.moves() && sending.put < page.ended_with_all {
             "is sent after all were told to end their motion"
         } else if name.byte == STOP && sending.put < page.let_go {
-            "holds behind what has let all go"
+            "holds after a command that has let all go"
         } else if name.moves() && sending.put < page.ended {
             "is sent after a newer command that ends motion"
         } else if name.is_set_point() && name.token <= page.newest_set_point {

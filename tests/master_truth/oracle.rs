@@ -233,7 +233,7 @@ impl Oracle {
                 self.totals.bus_errors += 1;
                 truth.failure_is_told();
             }
-            ref other => truth.breaks(format!("what is {other:?}?")),
+            ref other => truth.breaks(format!("an unexpected event: {other:?}")),
         }
     }
 

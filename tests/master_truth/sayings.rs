@@ -49,7 +49,7 @@ pub(super) fn check_ended(motor: MotorId, asked: &Data, truth: &mut Truth) {
     let page = &truth.pages[motor.index()];
     if page.moved_behind > page.stop_heard && !truth.flips {
         let packet = Packet { channel: Channel::Reply(motor), data: *asked };
-        excused_or(motor, &packet, truth, || format!("motor {motor} moves behind {asked:02X?}"));
+        excused_or(motor, &packet, truth, || format!("motor {motor} moves after {asked:02X?}"));
     }
 }
 
@@ -140,6 +140,6 @@ pub(super) fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) 
         // Of an error report, the voltage comes back, but not all bits of the flags.
         || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);
     if !is_report && !truth.flips {
-        excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} by itself"));
+        excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} on its own"));
     }
 }

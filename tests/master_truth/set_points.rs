@@ -68,7 +68,7 @@ impl SetPoints {
         if let Some(waiting) = self.waiting.take_if(|waiting| waiting.number == number) {
             self.taken = Some(waiting);
         }
-        (number <= self.told_dropped).then_some("was told as dropped")
+        (number <= self.told_dropped).then_some("was reported as dropped")
     }
 
     /// The controller has handed it back. If it is the newest, it is pending again.

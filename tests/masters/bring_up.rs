@@ -78,7 +78,7 @@ fn a_scan_finds_the_motors_that_are_there<W: Wire>() {
     assert_eq!(found, Ok(ids(1..=5)));
     told.sort_unstable();
     let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
-    assert_eq!(told, expected, "each is told of once");
+    assert_eq!(told, expected, "each is reported once");
     // They keep their places, so that a stop of all reaches them. The places of ids without a motor are free again.
     assert_eq!(runner.master().motors(), ids(1..=5));
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
