@@ -48,7 +48,7 @@ fn is_always_held<B: Moved>(firmware: &mut Firmware<'_, B>, bus: &BusFleet<B>) {
             let state = state(drive);
             let is_held = state.output_on || state.brake == BrakeCommand::LOCK;
             *unheld_ms = if is_held { 0 } else { *unheld_ms + 1 };
-            assert!(*unheld_ms < MOMENT_MS, "nobody holds: {state:?}");
+            assert!(*unheld_ms < MOMENT_MS, "nothing holds the shaft: {state:?}");
         }
     }
 }
