@@ -104,7 +104,8 @@ pub enum Trouble {
         motor: MotorId,
     },
     /// A motor that is required, or has answered before, does not answer, or its answer cannot be read. If you take a
-    /// motor away on purpose, switch the board off and on, so that it forgets the motor.
+    /// motor away on purpose, switch the board off and on, so that it forgets the motor. While shafts are checked, it
+    /// means that the motor confirms its stops and does not say whether its shaft stands: its load may fall.
     Silent {
         /// The motor.
         motor: MotorId,
@@ -150,7 +151,8 @@ pub enum StateName {
     Running,
     /// Brakes are locked and outputs switched off. Then the shafts are checked.
     ShuttingDown,
-    /// A shutdown was broken off. The shafts of the motors whose brakes were told to lock are checked, and the motors
-    /// whose shafts turn are told to hold again.
+    /// A shutdown was broken off, or a motor that let go while all were stopped turns behind its brake. The shafts of
+    /// the motors whose brakes were told to lock, or have locked, are checked, and the motors whose shafts turn are told
+    /// to hold again.
     Looking,
 }

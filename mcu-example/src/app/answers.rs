@@ -17,8 +17,7 @@ impl<const N: usize> App<N> {
         let answer = self.rounds.take(event).or_else(|| {
             let answer = self.state.script()?.take(event);
             if let (State::Looking { .. }, Some((motor, Answer::None))) = (&self.state, answer) {
-                // Its shaft is checked once it confirms the next stop.
-                self.unseen.insert(motor);
+                self.missed_look(motor, at);
             }
             answer
         });
@@ -62,6 +61,10 @@ impl<const N: usize> App<N> {
                 None
             }
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
+            Answer::Turns if matches!(self.state, State::Stopped { .. }) => {
+                self.unseen.insert(motor);
+                None
+            }
             Answer::Turns => Some(Trouble::Turns { motor }),
             Answer::Angle(angle) => {
                 self.motor(motor)?.angle = angle;

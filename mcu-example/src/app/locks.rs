@@ -1,14 +1,17 @@
-//! The brakes of motors that have reported an error.
+//! The brakes: which are locked, and which are to be since their motors have reported an error.
 
 use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{BrakeCommand, Command, ReadStatus1};
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
 
 use super::Setup;
 use super::script::Question;
 
-/// Locks the brakes of these motors.
+/// Knows which brakes are locked, and locks those of some motors.
 #[derive(Debug)]
 pub(super) struct Locks {
+    /// Motors that have last said so.
+    locked: MotorSet,
     wanted: MotorSet,
     /// The command in flight.
     told: Option<TicketId>,
@@ -16,7 +19,7 @@ pub(super) struct Locks {
 
 impl Locks {
     pub(super) const fn new() -> Self {
-        Self { wanted: MotorSet::EMPTY, told: None }
+        Self { locked: MotorSet::EMPTY, wanted: MotorSet::EMPTY, told: None }
     }
 
     /// Has this motor's brake lock.
@@ -37,8 +40,21 @@ impl Locks {
         }
     }
 
+    /// Those of these motors whose brakes are locked.
+    pub(super) const fn among(&self, motors: MotorSet) -> MotorSet {
+        motors.without(motors.without(self.locked))
+    }
+
     /// Takes note of an outcome. If a stop has dropped the command, it is sent again after the stop.
     pub(super) fn note(&mut self, event: &Event) {
+        if let Event::Reply { ticket, data, .. } = event
+            && let Ok(status) = ReadStatus1::decode_reply(data)
+        {
+            match status.brake {
+                BrakeCommand::LOCK => self.locked.insert(ticket.motor()),
+                _ => self.locked.remove(ticket.motor()),
+            }
+        }
         let Some(told) = self.told else { return };
         let failure = match event {
             Event::Reply { ticket, .. } if *ticket == told => None,

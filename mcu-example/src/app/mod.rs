@@ -56,7 +56,10 @@ pub struct App<const N: usize> {
     /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
     /// since.
     unseen: MotorSet,
-    /// From when on a check shows whether their shafts stand.
+    /// Motors that may have let go since they last ran, so that their brakes may have to hold, and motors that did not
+    /// say whether their shafts stand.
+    watched: MotorSet,
+    /// From when on a check shows whether the shafts of unseen motors stand.
     shows_at: Instant,
     rounds: Rounds,
     button: Button,
@@ -78,6 +81,7 @@ impl<const N: usize> App<N> {
             locks: Locks::new(),
             failed: MotorSet::EMPTY,
             unseen: MotorSet::EMPTY,
+            watched: MotorSet::EMPTY,
             shows_at: at.now,
             rounds: Rounds::new(at.now),
             button: Button::new(),
@@ -172,6 +176,7 @@ impl<const N: usize> App<N> {
             (State::Stopped { .. }, Press::Long) => {
                 self.failed = MotorSet::EMPTY;
                 self.unseen = MotorSet::EMPTY;
+                self.watched = MotorSet::EMPTY;
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
@@ -202,7 +207,10 @@ impl<const N: usize> App<N> {
         }
         // In every state, and also to motors whose firmware was not asked for yet: a motor that hears nothing cuts its
         // output.
-        self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
+        if self.rounds.is_due(at.now) {
+            let (motors, watched) = (self.attended(), self.watched());
+            self.rounds.ask(motors, watched, &self.setup, at.master, at.now);
+        }
     }
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
@@ -245,6 +253,7 @@ impl<const N: usize> App<N> {
                         }
                         // All motors hold, and their brakes are open.
                         self.unseen = MotorSet::EMPTY;
+                        self.watched = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);

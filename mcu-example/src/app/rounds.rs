@@ -38,20 +38,30 @@ impl Rounds {
         self.answered = self.answered.without(motors);
     }
 
-    /// Asks one of these motors the next question, if it is time and none is in flight.
+    /// Whether it is time for the next question, and none is in flight.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        self.asked.is_none() && now >= self.next
+    }
+
+    /// Asks one of these motors the next question. Those that are watched are asked whether their shafts stand, instead
+    /// of where they are.
     pub(super) fn ask<const N: usize>(
         &mut self,
         motors: MotorSet,
+        watched: MotorSet,
         setup: &Setup,
         master: &mut Master<N>,
         now: Instant,
     ) {
-        if self.asked.is_some() || now < self.next || motors.is_empty() {
+        if motors.is_empty() {
             return;
         }
         self.turn = (self.turn + 1) % (motors.len() * QUESTIONS.len());
         let Some(motor) = motors.iter().nth(self.turn % motors.len()) else { return };
-        let question = QUESTIONS[self.turn / motors.len()];
+        let question = match QUESTIONS[self.turn / motors.len()] {
+            Question::Angle if watched.contains(motor) => Question::Stands,
+            question => question,
+        };
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));
@@ -68,6 +78,8 @@ impl Rounds {
         match answer {
             // A stop has dropped the question.
             Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
+            // A motor may never say this. If it is gone, the other questions show it.
+            Answer::None if question == Question::Stands => {}
             Answer::None => self.doubt(motor.into()),
             Answer::Errors(_) => {}
             _ if self.doubted.contains(motor) => {

@@ -32,7 +32,7 @@ pub(super) enum State {
         script: Script,
         turning: MotorSet,
     },
-    /// A shutdown was broken off. Some brakes were told to lock: behind a locked brake no motor holds, and the brake
+    /// A shutdown was broken off, or a motor that is watched turns. Behind a locked brake no motor holds, and the brake
     /// may slip.
     Looking {
         script: Script,

@@ -57,7 +57,11 @@ impl<const N: usize> App<N> {
             (
                 State::ShuttingDown { turning, .. } | State::Looking { turning, .. },
                 Trouble::Turns { motor },
-            ) => turning.insert(motor),
+            ) => {
+                turning.insert(motor);
+                // Once: it may not be able to.
+                self.watched.remove(motor);
+            }
             // The others are checked all the same.
             (State::Looking { script, .. }, Trouble::Refused { motor }) => script.leave_out(motor),
             // If a brake is not locked, off is no stop. If a locked brake slips, holding is none either.
@@ -127,11 +131,33 @@ impl<const N: usize> App<N> {
     }
 
     /// If all are stopped, stops a motor once more that may have let go. A motor that has lost its master or restarted
-    /// holds nothing until then, although it may have confirmed a stop.
+    /// holds nothing until then, although it may have confirmed a stop. If its brake has locked, it holds nothing after
+    /// that either: so it is watched.
     pub(super) fn hold_again(&mut self, motor: MotorId, now: Instant) {
+        self.watched.insert(motor);
         if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
             unconfirmed.insert(motor);
             *again = now;
+        }
+    }
+
+    /// The shaft of a motor could not be checked. It is checked once more, when the motor confirms the next stop. After
+    /// that it is only watched: the motor may never answer this, and while shafts are checked, the button does nothing.
+    pub(super) fn missed_look(&mut self, motor: MotorId, at: &mut Moment<'_, N, impl Board>) {
+        if self.watched.contains(motor) {
+            at.board.log(&Report::Trouble(Trouble::Silent { motor }));
+        } else {
+            self.watched.insert(motor);
+            self.unseen.insert(motor);
+        }
+    }
+
+    /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
+    pub(super) const fn watched(&self) -> MotorSet {
+        match self.state {
+            State::Stopped { kind: StopKind::Hold, .. } => self.locks.among(self.watched),
+            // Their shafts are checked, or nothing holds them, or they move.
+            _ => MotorSet::EMPTY,
         }
     }
 
