@@ -18,7 +18,10 @@ pub(super) enum Press {
         since: Instant,
     },
     /// It is held.
-    Long,
+    Long {
+        /// When it went down.
+        since: Instant,
+    },
 }
 
 /// Since when the button is pressed; `None` if nothing more is to be reported of this press.
@@ -58,7 +61,7 @@ impl Button {
         let (contact, press) = match (self.contact, is_down) {
             (Contact::Open, true) => (Contact::Closed(Some(now)), Some(Press::Down)),
             (Contact::Closed(Some(since)), true) if now - since >= LONG => {
-                (Contact::Closed(None), Some(Press::Long))
+                (Contact::Closed(None), Some(Press::Long { since }))
             }
             (Contact::Closed(pressed), false) => (Contact::Opening { since: now, pressed }, None),
             (Contact::Opening { pressed, .. }, true) => (Contact::Closed(pressed), None),

@@ -63,7 +63,8 @@ pub struct App<const N: usize> {
     shows_at: Instant,
     rounds: Rounds,
     button: Button,
-    /// A press that begins before this does not start the motors.
+    /// A press that begins before this does not start the motors: [`STOPPED_BY_ITSELF`] after something else stopped
+    /// them, or one of them was told to hold again.
     may_start_at: Instant,
     next_cycle: Instant,
 }
@@ -173,7 +174,10 @@ impl<const N: usize> App<N> {
                 let all = self.known();
                 self.enter(State::Finding(Script::find(all, at.now)), at);
             }
-            (State::Stopped { .. }, Press::Long) => {
+            // It began before they were stopped: it was meant for what there was then.
+            (State::Stopped { .. }, Press::Long { since })
+                if since + STOPPED_BY_ITSELF < self.may_start_at => {}
+            (State::Stopped { .. }, Press::Long { .. }) => {
                 self.failed = MotorSet::EMPTY;
                 self.unseen = MotorSet::EMPTY;
                 self.watched = MotorSet::EMPTY;

@@ -138,6 +138,7 @@ impl<const N: usize> App<N> {
         if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
             unconfirmed.insert(motor);
             *again = now;
+            self.may_start_at = now + STOPPED_BY_ITSELF;
         }
     }
 

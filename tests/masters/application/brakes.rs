@@ -30,6 +30,7 @@ on_both_buses! {
     no_load_falls_where_getting_ready_is_broken_off
     a_motor_that_lets_go_while_all_are_stopped_is_made_to_hold_again
     a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold
+    a_press_right_after_a_motor_is_told_to_hold_again_starts_nothing
 }
 
 /// Longer than two commands to a motor take, and shorter than any brake takes to open (50 ms and more).
@@ -74,7 +75,8 @@ fn after_a_motor_restarted_its_brake_does_not_open_before_it_holds<B: Moved>() {
         drive.power_off(now);
         drive.power_on(now);
     });
-    firmware.run_for(millis(1_000));
+    // Sooner a press starts nothing.
+    firmware.run_for(millis(1_200));
     is_always_held(&mut firmware, &bus);
 }
 
@@ -332,6 +334,21 @@ fn a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold<B: Moved>()
             assert!(fallen[1] < 36.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
             stays_held(&mut firmware, &bus);
         }
+    }
+}
+
+/// A person who saw it fall presses to stop it. With and without a brake.
+fn a_press_right_after_a_motor_is_told_to_hold_again_starts_nothing<B: Moved>() {
+    for brakes in [false, true] {
+        let bus = loaded::<B>(3, brakes);
+        let (mut firmware, _) = before_shutdown(&bus);
+        lets_go(&mut firmware, &bus.drives[1], true, 0);
+        firmware.run_for(millis(200));
+        firmware.press(millis(50));
+        firmware.stays_stopped();
+        assert_eq!(firmware.panel.reports, [], "brakes: {brakes}");
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Running), millis(3_000));
     }
 }
 

@@ -102,6 +102,8 @@ fn a_motor_that_ran_and_is_missing_keeps_the_others_from_starting<B: Moved>() {
     firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_100));
     firmware.stays_stopped();
     bus.world.mend(bus.drives[2].station());
+    // It is told to hold again. Sooner a press starts nothing.
+    firmware.run_for(millis(1_200));
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }
