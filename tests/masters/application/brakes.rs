@@ -329,8 +329,8 @@ fn a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold<B: Moved>()
             let case = format!("{is_restart} {slips_after_ms} ms: {fallen:?}, {told:?}");
             assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{case}");
             assert!(!is_off(drive), "{case}");
-            // Within two rounds of 90 ms it answers again and is seen to turn: by 31 degrees, and by 36 without friction
-            // in 225 ms.
+            // It answers again, and is seen to turn, within two rounds of 90 ms: it falls by 31 degrees, and by 36
+            // without friction in 225 ms.
             assert!(fallen[1] < 36.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
             stays_held(&mut firmware, &bus);
         }

@@ -118,8 +118,17 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
             let told = &firmware.panel.reports;
             assert!(!is_off(&bus.drives[1]), "{why:?} after {after_ms} ms: {told:?}");
             let fallen = fallen_deg(&bus, &before_deg);
-            // It also falls while the firmware waits for the silent motor.
-            let most_deg = if matches!(why, Why::Silent) { 45.0 } else { 30.0 };
+            // It falls 50 ms after the command to lock at the soonest, until it is looked at: 200 ms after that command,
+            // or 50 ms after the stop. Without friction it falls by 17 degrees in 155 ms, and by 26 in 190 ms. Measured
+            // are 15 and 22, and later up to 28. It also falls while the silent motor is waited for: by 27, or by 43
+            // if that is found out only once the brakes have locked.
+            let most_deg = match why {
+                Why::Silent if after_ms < 190 => 30.0,
+                Why::Silent => 45.0,
+                _ if after_ms <= 100 => 18.0,
+                _ if after_ms <= 190 => 26.0,
+                _ => 30.0,
+            };
             assert!(
                 fallen[1] < most_deg && fallen[0].abs() < 0.5,
                 "{why:?} after {after_ms} ms: {fallen:?}"
@@ -151,8 +160,9 @@ fn an_error_after_a_shutdown_that_is_broken_off_is_reported_and_the_others_are_h
     assert!(!is_off(&bus.drives[1]));
     assert_eq!(state(&bus.drives[2]).brake, BrakeCommand::LOCK);
     let fallen = fallen_deg(&bus, &before_deg);
-    // The third arm fell until its brake had locked, which takes up to 150 ms.
-    assert!(fallen[1] < 30.0 && fallen[2] < 16.0, "{fallen:?}");
+    // It fell for up to 155 ms before it was looked at, and the other until its brake had locked, which takes up to
+    // 150 ms.
+    assert!(fallen[1] < 18.0 && fallen[2] < 16.0, "{fallen:?}");
     firmware.stays_stopped();
 }
 
@@ -181,7 +191,9 @@ fn a_motor_that_confirms_late_after_a_shutdown_that_is_broken_off_is_held_again<
             let case = format!("{cut_while_looking} {back_after_ms} ms: {fallen:?}, {told:?}");
             assert_eq!(told, [Trouble::BusDown, Trouble::Turns { motor: id(2) }], "{case}");
             assert!(!is_off(&bus.drives[1]), "{case}");
-            assert!(fallen[1] < 30.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
+            // Its stop goes every 100 ms, or later if the line waits for an answer: it falls by up to 19 degrees, and by
+            // 22 without friction in 177 ms.
+            assert!(fallen[1] < 22.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
             let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
             let end = [stopped, Report::State(StateName::Stopped)];
             assert!(firmware.panel.reports.ends_with(&end), "{:?}", firmware.panel.reports);
@@ -241,7 +253,8 @@ fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     assert_eq!(told.contains(&Trouble::Refused { motor: id(3) }), reports, "{told:?}");
     assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{told:?}");
     assert!(!is_off(&bus.drives[1]));
-    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 30.0);
+    // As behind any shutdown that is broken off this soon: 155 ms.
+    assert!(fallen_deg(&bus, &before_deg)[1].abs() < 18.0);
     firmware.stays_stopped();
 }
 
