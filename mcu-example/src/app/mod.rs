@@ -56,8 +56,8 @@ pub struct App<const N: usize> {
     /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
     /// since.
     unseen: MotorSet,
-    /// Motors that may have let go since they last ran, so that their brakes may have to hold, and motors that did not
-    /// say whether their shafts stand.
+    /// Motors that may have let go since the last shutdown, so that their brakes may have to hold, and motors that did
+    /// not say whether their shafts stand.
     watched: MotorSet,
     /// From when on a check shows whether the shafts of unseen motors stand.
     shows_at: Instant,
@@ -257,7 +257,6 @@ impl<const N: usize> App<N> {
                         }
                         // All motors hold, and their brakes are open.
                         self.unseen = MotorSet::EMPTY;
-                        self.watched = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);
