@@ -4,6 +4,7 @@
 use crate::command::{AnyReply, RunTime};
 use crate::master::config::Config;
 use crate::master::event::{Failure, feedback_of};
+use crate::master::motor::stopping::LastStop;
 use crate::master::motor::{LastSent, Motor, News};
 use crate::time::{Duration, Instant};
 
@@ -153,7 +154,10 @@ impl Motor {
         // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
-        self.last_stop.end_by_restart();
+        if let LastStop::Confirmed(_) = self.last_stop {
+            // It is no longer held.
+            self.last_stop = LastStop::None;
+        }
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }
