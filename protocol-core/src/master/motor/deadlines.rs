@@ -13,7 +13,7 @@ const USUAL_TIMES: u32 = 3;
 
 impl Motor {
     /// Whether time alone changes anything about it, although nothing is under way.
-    pub(in crate::master) fn lingers(&self) -> bool {
+    pub(crate) fn lingers(&self) -> bool {
         self.settled_at > Instant::ZERO || self.may_yet_move() || !self.late.is_empty()
     }
 
@@ -39,7 +39,7 @@ impl Motor {
         config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
     }
 
-    pub(in crate::master) fn drop_what_is_too_old(&mut self, now: Instant) {
+    pub(crate) fn drop_what_is_too_old(&mut self, now: Instant) {
         if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
             self.drop_waiting_set_point();
         }
@@ -47,7 +47,7 @@ impl Motor {
 
     /// Takes note of the time: drops what is too old, and sends again or gives up what is overdue. Something was last
     /// heard on the bus at `heard_at`.
-    pub(in crate::master) fn handle_timeout(
+    pub(crate) fn handle_timeout(
         &mut self,
         now: Instant,
         is_quiet: bool,
@@ -89,7 +89,7 @@ impl Motor {
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do.
-    pub(in crate::master) fn due(&self, config: &Config, earliest: &mut Earliest) {
+    pub(crate) fn due(&self, config: &Config, earliest: &mut Earliest) {
         self.too_old_at(config, earliest);
         if self.is_in_flight() && !self.had_its_chance() && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
@@ -100,7 +100,7 @@ impl Motor {
     }
 
     /// When this motor has something to report or to send because of the time.
-    pub(in crate::master) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
+    pub(crate) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
         self.too_old_at(config, earliest);
         if self.is_waiting() && self.settled_at > Instant::ZERO {
             earliest.take(self.settled_at);

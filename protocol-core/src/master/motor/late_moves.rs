@@ -9,14 +9,14 @@ use crate::time::Instant;
 
 impl Motor {
     /// Whether a command that was given up may still reach the drive and move it.
-    pub(in crate::master) fn may_yet_move(&self) -> bool {
+    pub(crate) fn may_yet_move(&self) -> bool {
         self.on_its_way.is_any()
     }
 
     /// A command was sent that moves the motor, or that would undo its stop. No late reply will show that it has
     /// arrived.
     #[inline(never)]
-    pub(in crate::master) fn may_move_until(&mut self, until: Instant, config: &Config) {
+    pub(crate) fn may_move_until(&mut self, until: Instant, config: &Config) {
         self.may_move_until_answered(until, config);
         self.is_beyond_late = true;
     }
@@ -37,17 +37,17 @@ impl Motor {
     }
 
     /// Whether what was given up is over by time alone, so that it may still be in a mailbox.
-    pub(in crate::master) fn may_lie_in_mailbox(&self, config: &Config) -> bool {
+    pub(crate) fn may_lie_in_mailbox(&self, config: &Config) -> bool {
         matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485()
     }
 
     /// What looks like a late reply may be another one: it does not show that the move has arrived.
-    pub(in crate::master) fn note_late_replies_say_nothing(&mut self) {
+    pub(crate) fn note_late_replies_say_nothing(&mut self) {
         self.is_beyond_late |= self.may_yet_move();
     }
 
     /// Replies to this question may come late, at most this many.
-    pub(in crate::master) fn expect_late(
+    pub(crate) fn expect_late(
         &mut self,
         question: Question,
         of: Of,
@@ -65,11 +65,7 @@ impl Motor {
 
     /// Takes a reply that may come late, or a command that was handed back; see
     /// [`LateReplies::take`](crate::master::late::LateReplies::take).
-    pub(in crate::master) fn take_late(
-        &mut self,
-        reply: &Packet,
-        may_be_doubled: bool,
-    ) -> Option<Of> {
+    pub(crate) fn take_late(&mut self, reply: &Packet, may_be_doubled: bool) -> Option<Of> {
         let (of, question) = self.late.take(reply, may_be_doubled)?;
         self.last_answered = Some(question);
         if !self.late.may_move() && !self.is_beyond_late {
@@ -79,7 +75,7 @@ impl Motor {
     }
 
     /// Feedback has come that may belong to another set-point, so that the reply to the newest may still come.
-    pub(in crate::master) fn prolong_late(
+    pub(crate) fn prolong_late(
         &mut self,
         question: Question,
         config: &Config,

@@ -13,7 +13,7 @@ use crate::time::Instant;
 
 impl Motor {
     /// A controller has handed back a frame that it had taken. The frame waits again, unless it is too old.
-    pub(in crate::master) fn was_pushed_out(&mut self, packet: &Packet) {
+    pub(crate) fn was_pushed_out(&mut self, packet: &Packet) {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
         let is_this = |kind: Kind, data: &Data| {

@@ -16,7 +16,7 @@ use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
 /// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of several sendings.
-pub(in crate::master) enum Meaning {
+pub(crate) enum Meaning {
     /// It answers a set-point.
     Feedback(AnyReply, Option<Duration>),
     /// It shows that the set-point in flight was ignored.
@@ -38,12 +38,12 @@ pub(in crate::master) enum Meaning {
 }
 
 /// A reply, and what the master knows of its motor.
-pub(in crate::master) struct Heard<'a> {
-    pub(in crate::master) from: MotorId,
-    pub(in crate::master) packet: &'a Packet,
-    pub(in crate::master) at: Instant,
-    pub(in crate::master) to_all: &'a Broadcast,
-    pub(in crate::master) lost_master: &'a mut MotorSet,
+pub(crate) struct Heard<'a> {
+    pub(crate) from: MotorId,
+    pub(crate) packet: &'a Packet,
+    pub(crate) at: Instant,
+    pub(crate) to_all: &'a Broadcast,
+    pub(crate) lost_master: &'a mut MotorSet,
 }
 
 impl Heard<'_> {
@@ -70,7 +70,7 @@ impl Heard<'_> {
 
 impl Motor {
     /// Compares a reply with what is expected: what is in flight, and what may come late.
-    pub(in crate::master) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
+    pub(crate) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);

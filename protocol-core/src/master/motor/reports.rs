@@ -11,7 +11,7 @@ const REPORTS_MISSED: u32 = 3;
 
 impl Motor {
     /// Whether it reports this unasked.
-    pub(in crate::master) fn reports(&self, bit: u8, now: Instant) -> bool {
+    pub(crate) fn reports(&self, bit: u8, now: Instant) -> bool {
         self.reports & bit != 0 && self.may_report_yet(now)
     }
 
@@ -37,6 +37,6 @@ impl Motor {
 }
 
 /// The bit of a command that a drive can report unasked (2.34.2); 0 for any other.
-pub(in crate::master) fn reported_bit(opcode: Opcode) -> u8 {
+pub(crate) fn reported_bit(opcode: Opcode) -> u8 {
     opcode.report_place().map_or(0, |place| 1 << place)
 }

@@ -31,7 +31,7 @@ fn step_of(at: Instant) -> u32 {
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
 /// In degrees: a position further away is nearer to another turn.
 const HALF_A_TURN: u16 = 180;
-pub(in crate::master) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
+pub(crate) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
 
 /// Motion mode reports the position on a scale of the firmware's, which need not be known here. On the narrowest, of 25
 /// rad (V4.3), a turn is a quarter of it, and 10,000 dps are 458 steps in a millisecond.
@@ -40,14 +40,14 @@ const STEP_TAKES: Duration = Duration::from_micros(2);
 
 /// The motor's position according to feedback.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::master) enum Position {
+pub(crate) enum Position {
     Degrees(i16),
     /// In steps of the scale of motion mode.
     OfScale(u16),
 }
 
 impl Position {
-    pub(in crate::master) fn of(reply: &AnyReply) -> Option<Self> {
+    pub(crate) fn of(reply: &AnyReply) -> Option<Self> {
         match reply {
             AnyReply::Motion(raw) => Some(Self::OfScale(raw.position)),
             _ => feedback_of(reply).map(|feedback| Self::Degrees(feedback.angle.raw())),
@@ -75,11 +75,7 @@ impl Motor {
     /// A motor that did not answer last time, and was silent for as long as a restart takes, is not moved: the first
     /// move that it hears would start from wherever it believes to be. The exception is a motor that the caller has
     /// resumed since its last answer, or the last that did not come. Returns whether it has restarted.
-    pub(in crate::master) fn note_restart_if_silent(
-        &mut self,
-        config: &Config,
-        now: Instant,
-    ) -> bool {
+    pub(crate) fn note_restart_if_silent(&mut self, config: &Config, now: Instant) -> bool {
         if self.was_missed() && !self.last_sent.contains(LastSent::IS_RESUMED) {
             self.note_silence(config, now);
         }
@@ -113,7 +109,7 @@ impl Motor {
     }
 
     /// It has said how long it had run when it was asked last, or up to this much `earlier`.
-    pub(in crate::master) fn note_run_time(
+    pub(crate) fn note_run_time(
         &mut self,
         runs: RunTime,
         earlier: Duration,
@@ -134,12 +130,7 @@ impl Motor {
 
     /// Feedback of its stream reports its position. Notes a restart if that is further away than it can have turned.
     #[inline(never)]
-    pub(in crate::master) fn note_position(
-        &mut self,
-        position: Position,
-        config: &Config,
-        now: Instant,
-    ) {
+    pub(crate) fn note_position(&mut self, position: Position, config: &Config, now: Instant) {
         let shortest = self.position.and_then(|before| before.shortest_way_to(position));
         if shortest.is_some_and(|shortest| shortest > now - self.position_at) {
             self.begin_anew(config, now);
@@ -148,7 +139,7 @@ impl Motor {
 
     /// It has restarted, or may have: nothing moves it until the caller knows.
     #[inline(never)]
-    pub(in crate::master) fn begin_anew(&mut self, config: &Config, now: Instant) {
+    pub(crate) fn begin_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
         // A command may be about to restart it.

@@ -32,7 +32,7 @@ use crate::time::Instant;
 
 /// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::master) enum Told {
+pub(crate) enum Told {
     /// No stop was sent, or something was since that may have moved it.
     #[default]
     Nothing,
@@ -44,7 +44,7 @@ pub(in crate::master) enum Told {
 
 /// What became of a motor's last stop.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::master) enum LastStop {
+pub(crate) enum LastStop {
     /// There was none, it is under way, or the motor was told something else since.
     #[default]
     None,
@@ -93,7 +93,7 @@ impl Motor {
 
     /// The motor is stopped in this way. If nothing has undone an equal stop since, that stop is called again. If it
     /// was given up, an answer to any of its frames confirms this one.
-    pub(in crate::master) fn stop(&mut self, mut stop: Asked, config: &Config, now: Instant) {
+    pub(crate) fn stop(&mut self, mut stop: Asked, config: &Config, now: Instant) {
         if self.keep_stop_under_way(&stop) {
             return;
         }
@@ -111,7 +111,7 @@ impl Motor {
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
-    pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
+    pub(crate) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         if self.told == Told::ByThis {
             self.told = Told::Before;
         }
@@ -147,12 +147,7 @@ impl Motor {
     /// What ends motion must not count while an earlier stop of the other kind may still arrive. A controller that
     /// keeps no order may send that one later: a load that is held falls, or a motor that is off is switched on.
     #[inline(never)]
-    pub(in crate::master) fn let_other_stop_come_first(
-        &mut self,
-        end: &Asked,
-        config: &Config,
-        now: Instant,
-    ) {
+    pub(crate) fn let_other_stop_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
         let off = StopKind::Off.question();
         let other = if end.question == off { StopKind::Hold.question() } else { off };
         if self.late.may_be_mistaken(other) {
@@ -185,7 +180,7 @@ impl Motor {
     }
 
     /// It has answered this, which ends its motion.
-    pub(in crate::master) fn note_motion_ended(&mut self, by: Kind) {
+    pub(crate) fn note_motion_ended(&mut self, by: Kind) {
         self.on_its_way = OnItsWay::No;
         // A drive without a brake also acknowledges its lock, and turns on.
         if let Some(stop) = StopKind::by(by) {
@@ -195,7 +190,7 @@ impl Motor {
     }
 
     /// The stop that it has not confirmed, and since when nothing was done about it.
-    pub(in crate::master) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
+    pub(crate) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
         match self.last_stop {
             _ if self.request.under_way().is_some_and(Asked::ends_motion) => None,
             LastStop::Unconfirmed { kind, since, .. } => Some((kind, since)),
@@ -206,12 +201,7 @@ impl Motor {
     /// A stop to all was sent, which the motor may answer in addition to its own stop. On CAN, if both are the same, it
     /// counts as one more sending of its own. On RS485 the answers of several motors collide, so it is not known
     /// whether this one's will come: it confirms nothing.
-    pub(in crate::master) fn stop_to_all_was_sent(
-        &mut self,
-        told: Question,
-        until: Instant,
-        config: &Config,
-    ) {
+    pub(crate) fn stop_to_all_was_sent(&mut self, told: Question, until: Instant, config: &Config) {
         self.stop_set_point(until, config);
         match self.own_stop(told).filter(|_| !config.is_rs485()) {
             Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
@@ -227,11 +217,7 @@ impl Motor {
     }
 
     /// The stop to all was handed back: it will not be answered.
-    pub(in crate::master) fn stop_to_all_was_pushed_out(
-        &mut self,
-        told: Question,
-        packet: &Packet,
-    ) {
+    pub(crate) fn stop_to_all_was_pushed_out(&mut self, told: Question, packet: &Packet) {
         match self.own_stop(told) {
             Some(stop) if stop.unanswered > 0 => stop.unanswered -= 1,
             _ => {
@@ -249,12 +235,7 @@ impl Motor {
 
     /// All are told to end their motion: nothing older of this motor is sent after that. With `off` they are let go: a
     /// hold of this motor under way, or sent again, would switch it on.
-    pub(in crate::master) fn end_with_all(
-        &mut self,
-        off: Option<Asked>,
-        config: &Config,
-        now: Instant,
-    ) {
+    pub(crate) fn end_with_all(&mut self, off: Option<Asked>, config: &Config, now: Instant) {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
         if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
             self.put_stop(off, config, now);
