@@ -81,10 +81,8 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
-            let turn = match motor.waits_for_first_stop() {
-                true => u8::from(motor.seems_dead()),
-                false => 2,
-            };
+            let is_first = motor.waits_for_first_stop();
+            let turn = if is_first { u8::from(motor.seems_dead()) } else { 2 };
             (turn, motor.sent)
         };
         self.ready_stops().min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
@@ -158,12 +156,8 @@ impl<const N: usize> Master<N> {
         let asked = motor.request.waiting();
         let request_may_go = asked.is_some_and(|asked| self.request_may_go(motor, asked));
         match (motor.may_send_set_point(), request_may_go) {
-            (true, true) => Some(if motor.last_sent.contains(LastSent::REQUESTS_TURN) {
-                request
-            } else {
-                set_point
-            }),
-            (true, false) => Some(set_point),
+            (true, true) if motor.last_sent.contains(LastSent::REQUESTS_TURN) => Some(request),
+            (true, _) => Some(set_point),
             (false, true) => Some(request),
             (false, false) => None,
         }

@@ -19,7 +19,7 @@ impl Motor {
 
     /// When what is in flight counts as lost.
     fn deadline(&self, config: &Config) -> Option<Instant> {
-        let timeout = match (self.request.in_flight(), self.stream.in_flight) {
+        let timeout = match (self.request.in_flight(), &self.stream.in_flight) {
             (Some(asked), _) => asked.timeout,
             (None, Some(_)) => self.set_point_timeout(config),
             (None, None) => return None,

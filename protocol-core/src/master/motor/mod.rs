@@ -310,17 +310,16 @@ impl Motor {
     }
 
     pub(super) fn set_point_packet(&self) -> Option<Packet> {
-        let set_point = self.stream.waiting?;
+        let set_point = self.stream.waiting.as_ref()?;
         self.packet(set_point.question, set_point.data)
     }
 
     #[inline]
     fn packet(&self, question: Question, data: Data) -> Option<Packet> {
         let motor = self.id?;
-        let channel = match question.kind.is_motion() {
-            true => Channel::Motion(motor),
-            false => Channel::Command(motor.into()),
-        };
+        let is_motion = question.kind.is_motion();
+        let channel =
+            if is_motion { Channel::Motion(motor) } else { Channel::Command(motor.into()) };
         Some(Packet { channel, data })
     }
 

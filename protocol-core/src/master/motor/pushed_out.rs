@@ -29,7 +29,12 @@ impl Motor {
         };
         if let Some(asked) = asked.filter(|asked| is_this(asked.kind(), &asked.data)) {
             self.request_was_pushed_out(asked);
-        } else if self.stream.in_flight.is_some_and(|it| is_this(it.question.kind, &it.data)) {
+        } else if self
+            .stream
+            .in_flight
+            .as_ref()
+            .is_some_and(|it| is_this(it.question.kind, &it.data))
+        {
             self.set_point_was_pushed_out();
         } else {
             self.given_up_was_pushed_out(packet);

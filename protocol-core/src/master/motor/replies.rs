@@ -80,7 +80,8 @@ impl Motor {
         };
         let is_in_time = now - self.sent >= shortest;
         let answers = |question: Question| is_in_time && is_same(question);
-        if let Some(set_point) = self.stream.in_flight.filter(|sent| answers(sent.question)) {
+        let in_flight = self.stream.in_flight.as_ref();
+        if let Some(&set_point) = in_flight.filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
             return self.take_feedback(&set_point, heard, config);
         }

@@ -10,9 +10,15 @@ use crate::time::{Duration, Instant};
 const REPORTS_MISSED: u32 = 3;
 
 impl Motor {
-    /// Whether it reports this unasked.
+    /// Whether it reports this unasked. A motor that was not heard for long no longer does.
     pub(crate) fn reports(&self, bit: u8, now: Instant) -> bool {
-        self.reports & bit != 0 && self.may_report_yet(now)
+        if self.reports & bit == 0 {
+            return false;
+        }
+        let interval = Duration::from_millis(10 * u64::from(self.report_interval));
+        let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
+        let since = self.health.last_seen().map_or(self.sent, |seen| seen.max(self.sent));
+        now - since < longest_silence
     }
 
     /// It was told what to report from now on, or what to stop reporting.
@@ -25,14 +31,6 @@ impl Motor {
             let interval = u16::from_le_bytes([low, high]);
             self.report_interval = self.report_interval.max(interval);
         }
-    }
-
-    /// Whether it still reports: a motor that was not heard for this long does not.
-    fn may_report_yet(&self, now: Instant) -> bool {
-        let interval = Duration::from_millis(10 * u64::from(self.report_interval));
-        let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
-        let since = self.health.last_seen().map_or(self.sent, |seen| seen.max(self.sent));
-        now - since < longest_silence
     }
 }
 
