@@ -120,7 +120,6 @@ fn all_if(is_so: bool) -> MotorSet {
 }
 
 impl Broadcast {
-    /// It waits to be sent. `last_ticket` is the ticket of the newest request.
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
         self.last_ticket = last_ticket;
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
@@ -165,7 +164,6 @@ impl Broadcast {
         }
     }
 
-    /// The motor has confirmed the end of its motion.
     pub(super) fn note_motion_ended_of(&mut self, motor: MotorId) {
         self.moved_since.remove(motor);
     }
@@ -209,7 +207,6 @@ impl Broadcast {
         Some(Packet { channel, data: self.data })
     }
 
-    /// The question that it asks.
     pub(super) fn question(&self) -> Option<Question> {
         Some(Question::of(self.kind?, &self.data))
     }
@@ -247,7 +244,6 @@ impl Broadcast {
         self.on_its_way.put(until, true);
     }
 
-    /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
         if !self.on_its_way.is_any() {
             return;
@@ -454,8 +450,7 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Ends a broadcast whose time is up, or that would move a motor that has restarted. The silent motors may still
-    /// answer it late.
+    /// Ends a broadcast whose time is up, or that would move a motor that has restarted.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
         self.broadcast.age(now, self.heard_at_least(), &self.config);

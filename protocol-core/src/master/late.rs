@@ -138,7 +138,6 @@ impl LateReplies {
         self.end_of(question).is_some()
     }
 
-    /// Whether any of the commands may still reach the motor and move it.
     pub(super) fn may_move(&self) -> bool {
         self.0.iter().flatten().any(Late::may_move)
     }
@@ -186,7 +185,6 @@ impl LateReplies {
         let _ = self.expect_fewer(replies, |asked| asked == question);
     }
 
-    /// When replies to this question can no longer come.
     pub(super) fn end_of(&self, question: Question) -> Option<Instant> {
         let mut all = self.0.iter().flatten();
         all.find(|late| late.question == question).map(|late| late.until)

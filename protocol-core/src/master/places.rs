@@ -15,7 +15,6 @@ impl PlaceSet {
         self.0 == 0
     }
 
-    /// How many places.
     pub(super) const fn count(self) -> u32 {
         self.0.count_ones()
     }
@@ -25,7 +24,6 @@ impl PlaceSet {
         if is_in { self.0 |= bit } else { self.0 &= !bit }
     }
 
-    /// The places in order.
     pub(super) fn iter(self) -> impl Iterator<Item = usize> {
         let mut left = self.0;
         core::iter::from_fn(move || {
@@ -81,13 +79,11 @@ impl Places {
         }
     }
 
-    /// The place of a motor.
     pub(super) fn of(&self, motor: MotorId) -> Option<usize> {
         let place = self.of.get(motor.index()).copied().filter(|&place| place != NOBODY)?;
         Some(usize::from(place))
     }
 
-    /// Gives a motor a place.
     pub(super) fn give(&mut self, place: usize, motor: MotorId) {
         if let Some(of) = self.of.get_mut(motor.index()) {
             *of = place as u8;
@@ -95,7 +91,6 @@ impl Places {
         self.taken.set(place, true);
     }
 
-    /// The motor no longer has a place.
     pub(super) fn clear(&mut self, place: usize, motor: MotorId) {
         if let Some(of) = self.of.get_mut(motor.index()) {
             *of = NOBODY;

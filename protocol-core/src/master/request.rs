@@ -26,8 +26,7 @@ pub(super) enum Purpose {
     /// A stop: sent before everything else, whatever is in flight.
     Stop,
     /// A stop that was called again: the equal one before it is over or was sent as often as it may be, and nothing was
-    /// sent since that a stop would refuse. On RS485 every second turn goes to others. On CAN it waits for motors that
-    /// were sent no more commands than its own and may be waiting to answer.
+    /// sent since that a stop would refuse. It leaves turns to others.
     StopCalledAgain,
     /// A stop that was given up and is sent once more.
     StopAgain,
@@ -239,7 +238,7 @@ impl<const N: usize> Master<N> {
         Ok(Ticket::new(ticket))
     }
 
-    /// As [`put_request`](Self::put_request), compiled once for all types.
+    /// Compiled once for all types.
     #[inline(never)]
     fn put(
         &mut self,

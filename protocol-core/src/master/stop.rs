@@ -170,10 +170,7 @@ impl<const N: usize> Master<N> {
     /// [`lift_stop_of`](Self::lift_stop_of), the same commands to it are refused. A stop to all that was not sent
     /// yet still goes first: motors without a place may get no other.
     ///
-    /// No [broadcast](Self::broadcast) that was put before undoes this stop. One that ends motion would do so if it
-    /// switches off a motor that is to be held, or switches on one that is to be off. If such a broadcast still waits,
-    /// or is handed back later, each of the other motors gets the command individually instead, and confirms it as a
-    /// stop.
+    /// No [broadcast](Self::broadcast) that was put before undoes this stop.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.

@@ -33,12 +33,11 @@ impl Stream {
         self.waiting.is_none() && self.in_flight.is_none()
     }
 
-    /// When the waiting set-point is dropped.
     pub(super) fn expiry(&self) -> Option<Instant> {
         self.waiting.map(|_| self.expiry)
     }
 
-    /// Replaces the waiting set-point with a newer one. Returns the old one.
+    /// Returns the one that it replaces.
     pub(super) fn put(&mut self, set_point: SetPoint, expiry: Instant) -> Option<SetPoint> {
         self.expiry = expiry;
         self.waiting.replace(set_point)

@@ -89,7 +89,6 @@ impl<const N: usize> Master<N> {
         offer.is_some_and(Motor::waits_for_first_stop)
     }
 
-    /// The motor whose request this is.
     #[inline]
     fn requested_of(&self, offer: Offer) -> Option<&Motor> {
         let Offer::Request(place) = offer else { return None };

@@ -152,7 +152,6 @@ impl Motor {
         self.told == Told::Nothing && self.request.waiting().is_some_and(is_first)
     }
 
-    /// Whether a stop that was called again waits.
     #[inline(never)]
     pub(super) fn is_stop_called_again(&self) -> bool {
         self.request.waiting().is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
@@ -204,7 +203,6 @@ impl Motor {
         }
     }
 
-    /// Whether it is behind this round.
     pub(super) fn is_behind(&self, round: u32) -> bool {
         is_before(self.round, round)
     }
@@ -298,7 +296,6 @@ impl Motor {
         self.stream.waiting.is_some() && self.late.has_room() && !self.waits_to_end_motion()
     }
 
-    /// Whether a request that ends its motion waits to be sent.
     #[inline]
     pub(super) fn waits_to_end_motion(&self) -> bool {
         self.request.waiting().is_some_and(Asked::ends_motion)

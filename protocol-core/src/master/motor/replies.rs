@@ -69,7 +69,6 @@ impl Heard<'_> {
 }
 
 impl Motor {
-    /// Compares a reply with what is expected: what is in flight, and what may come late.
     pub(crate) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
@@ -214,9 +213,8 @@ impl Motor {
         meaning
     }
 
-    /// Its answer may belong to an earlier stop, so it is sent again. This is done at once, unless the stop was called
-    /// again or this has happened several times. Then it waits until no earlier answer can come: otherwise each stop
-    /// would leave more of them pending.
+    /// Its answer may belong to an earlier stop, so it is sent again: at once or, if stops go on and on, when no earlier
+    /// answer can come. Otherwise each stop would leave more of them pending.
     fn go_on_unconfirmed(&mut self, stop: Asked, config: &Config) {
         if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
             self.waits_to_go_once_more(stop, Proof::WaitsForOwed, config);

@@ -5,8 +5,7 @@
 //!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)). Nothing that moves is sent before that one is over, even
 //!    if it was lifted meanwhile. From then on, answers to what was sent before are pending.
 //! 2. It is sent ([`schedule`](crate::master::schedule)), first stops before any other. A stop that was called
-//!    again ([`Purpose::StopCalledAgain`]) leaves every second turn on RS485 to others. On CAN it waits for motors that
-//!    were sent no more commands than its own.
+//!    again ([`Purpose::StopCalledAgain`]) leaves turns to others.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
 //!    - If it may belong to what was sent before, the stop is sent again: at once or, if stops go on and on, when no
 //!      such answer is pending any more ([`WaitsForOwed`](crate::master::request::Proof::WaitsForOwed)).
