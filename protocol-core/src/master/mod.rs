@@ -244,11 +244,9 @@ pub struct Master<const N: usize> {
 }
 
 impl<const N: usize> Master<N> {
-    const CAPACITY: () = assert!(N >= 1 && N <= 32, "a master has 1 to 32 motors");
-
     /// Creates a master that knows no motor yet. A motor takes a place with its first request.
     pub fn new(mut config: Config) -> Self {
-        const { Self::CAPACITY };
+        const { assert!(N >= 1 && N <= 32, "a master has 1 to 32 motors") };
         let round_trips = RoundTrips::new(&mut config);
         config.reply_timeout = config.reply_timeout.max(SHORTEST_TIMEOUT);
         // A reply that counts as lost is not waited for.
