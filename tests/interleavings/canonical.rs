@@ -4,11 +4,12 @@
 //! of the motors from the master's round.
 //!
 //! Fields that only count, name, or answer callers are left out: health, tickets, whether the newest set-point was
-//! dropped, and by when a drive has started. They can only change what is reported, with two exceptions that do not
-//! occur here:
+//! dropped, and by when a drive has started. They can only change what is reported, with three exceptions that make no
+//! difference here:
 //!
 //! - When a motor was heard last matters after a second.
 //! - By when it has started matters if its run time is read.
+//! - Tickets show whether a request or a command to all was put first. So do the numbers of the calls in their data.
 
 use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
@@ -65,6 +66,53 @@ enum Field {
     Ignored,
 }
 
+/// The structs with such fields. Other structs may have fields of the same names.
+#[derive(Clone, Copy, PartialEq)]
+enum Owner {
+    Other,
+    Master,
+    Broadcast,
+    Motor,
+    EchoFilter,
+    /// A frame that may come back.
+    Sent,
+    Line,
+    Receiver,
+    LeftOut,
+}
+
+impl Owner {
+    fn named(name: &str) -> Self {
+        match name {
+            "Master" => Self::Master,
+            "Broadcast" => Self::Broadcast,
+            "Motor" => Self::Motor,
+            "EchoFilter" => Self::EchoFilter,
+            "Sent" => Self::Sent,
+            "Line" => Self::Line,
+            "Receiver" => Self::Receiver,
+            "Record" | "Config" => Self::LeftOut,
+            _ => Self::Other,
+        }
+    }
+
+    fn field(self, name: &str) -> Field {
+        match (self, name) {
+            (Self::Broadcast | Self::Motor, "sent") => Field::Sent,
+            (Self::EchoFilter, "forgotten") | (Self::Sent, "at") => Field::MayEcho,
+            (Self::Motor, "round") => Field::Round,
+            (Self::Master, "pace") => Field::Pace,
+            (Self::Motor, "misses") => Field::Misses,
+            (Self::Master | Self::Broadcast, "last_ticket")
+            | (Self::Motor, "ticket" | "is_newest_dropped" | "started_by")
+            // Bytes that are already processed, or are no frame.
+            | (Self::Line, "chunk" | "next" | "end" | "garbled")
+            | (Self::Receiver, "held") => Field::Ignored,
+            _ => Field::Plain,
+        }
+    }
+}
+
 /// Takes the pieces that `Debug` writes: each is a name, a sign or a number. If the pieces came differently, fewer
 /// states would be found equal, but none wrongly.
 struct Sink {
@@ -72,10 +120,11 @@ struct Sink {
     now: Instant,
     field: Field,
     is_instant: bool,
-    last_word: Field,
-    /// Depth inside a struct that is left out.
-    depth_left_out: usize,
-    leaves_out: bool,
+    /// The last names of a field and of a struct.
+    last_field: Field,
+    last_owner: Owner,
+    /// The structs around the next piece, the outermost first.
+    owners: Vec<Owner>,
     pace: u32,
     rounds: [u32; 2],
     rounds_seen: usize,
@@ -88,13 +137,18 @@ impl Sink {
             now,
             field: Field::Plain,
             is_instant: false,
-            last_word: Field::Plain,
-            depth_left_out: 0,
-            leaves_out: false,
+            last_field: Field::Plain,
+            last_owner: Owner::Other,
+            owners: Vec::new(),
             pace: 0,
             rounds: [0; 2],
             rounds_seen: 0,
         }
+    }
+
+    /// The struct around the next piece.
+    fn owner(&self) -> Owner {
+        self.owners.last().copied().unwrap_or(Owner::Other)
     }
 
     fn number(&mut self, number: u64) {
@@ -115,7 +169,8 @@ impl Sink {
                 self.rounds_seen += 1;
             }
             Field::Pace => self.pace = number as u32,
-            Field::Misses => (number > 0).hash(&mut self.hasher),
+            // None, one, or so many that the motor counts as silent.
+            Field::Misses => number.min(2).hash(&mut self.hasher),
             Field::Ignored => {}
             Field::Plain | Field::Sent | Field::MayEcho => number.hash(&mut self.hasher),
         }
@@ -124,42 +179,65 @@ impl Sink {
 
 impl Write for Sink {
     fn write_str(&mut self, piece: &str) -> fmt::Result {
-        if self.leaves_out {
-            match piece {
-                " { " => self.depth_left_out += 1,
-                " }" => {
-                    self.depth_left_out -= 1;
-                    self.leaves_out = self.depth_left_out > 0;
-                }
-                _ => {}
-            }
-            return Ok(());
-        }
         match piece {
-            ": " => self.field = self.last_word,
-            ", " | " { " | " }" | "(" | ")" => {}
+            " { " => {
+                // What is in a struct that is left out is left out, too.
+                let is_left_out = self.owner() == Owner::LeftOut;
+                self.owners.push(if is_left_out { Owner::LeftOut } else { self.last_owner });
+            }
+            " }" => {
+                self.owners.pop();
+            }
+            _ if self.owner() == Owner::LeftOut => {}
+            ": " => self.field = self.last_field,
+            ", " | "(" | ")" => {}
             "Instant" => self.is_instant = true,
-            "Record" | "Config" => self.leaves_out = true,
             "true" | "false" if self.field == Field::Ignored => {}
             _ => {
                 if let Ok(number) = piece.parse() {
                     self.number(number);
                     return Ok(());
                 }
-                self.last_word = match piece {
-                    "sent" => Field::Sent,
-                    "at" | "forgotten" => Field::MayEcho,
-                    "round" => Field::Round,
-                    "pace" => Field::Pace,
-                    "misses" => Field::Misses,
-                    "ticket" | "last_ticket" | "is_newest_dropped" | "started_by" => Field::Ignored,
-                    // Bytes that are already processed, or are no frame.
-                    "chunk" | "next" | "end" | "held" | "garbled" => Field::Ignored,
-                    _ => Field::Plain,
-                };
+                if piece.starts_with(|first: char| first.is_ascii_uppercase()) {
+                    self.last_owner = Owner::named(piece);
+                } else {
+                    self.last_field = self.owner().field(piece);
+                }
                 piece.hash(&mut self.hasher);
             }
         }
         Ok(())
     }
+}
+
+#[test]
+fn a_field_is_ignored_only_in_its_own_struct() {
+    #[derive(Debug)]
+    struct Receiver {
+        #[expect(dead_code, reason = "only printed")]
+        held: u8,
+    }
+    #[derive(Debug)]
+    struct Broadcast {
+        #[expect(dead_code, reason = "only printed")]
+        held: u8,
+    }
+    let of_receiver = |held| number(&Receiver { held }, Instant::ZERO, |_| {});
+    assert_eq!(of_receiver(1), of_receiver(2));
+    let of_broadcast = |held| number(&Broadcast { held }, Instant::ZERO, |_| {});
+    assert_ne!(of_broadcast(1), of_broadcast(2));
+}
+
+/// The master treats a motor that has missed one reply otherwise than one that counts as silent.
+#[test]
+fn motors_that_have_missed_one_reply_and_two_differ() {
+    #[derive(Debug)]
+    struct Motor {
+        #[expect(dead_code, reason = "only printed")]
+        misses: u8,
+    }
+    let after = |misses| number(&Motor { misses }, Instant::ZERO, |_| {});
+    assert_ne!(after(0), after(1));
+    assert_ne!(after(1), after(2));
+    assert_eq!(after(2), after(3));
 }
