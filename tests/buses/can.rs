@@ -23,8 +23,8 @@ fn data_frame(id: u16, data: &[u8]) -> SimpleFrame {
     SimpleFrame::new(StandardId::new(id).unwrap(), data).unwrap()
 }
 
-/// 111 bits: no stuff bits.
-fn smooth() -> SimpleFrame {
+/// 111 bits, of which the last three are the intermission: no stuff bits.
+pub(super) fn smooth() -> SimpleFrame {
     data_frame(0x61E, &[0x87, 0x87, 0x87, 0x87, 0x87, 0x66, 0x13, 0x87])
 }
 

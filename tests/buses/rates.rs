@@ -12,14 +12,10 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, micros};
 
+use super::can::smooth;
+
 const SLOW: u32 = 500_000;
 const FAST: u32 = 1_000_000;
-
-/// 111 bits, of which the last three are the intermission: no stuff bits.
-fn smooth() -> SimpleFrame {
-    let data = [0x87, 0x87, 0x87, 0x87, 0x87, 0x66, 0x13, 0x87];
-    SimpleFrame::new(StandardId::new(0x61E).unwrap(), &data).unwrap()
-}
 
 /// Transmit errors, receive errors, state.
 fn counts(world: &CanWorld, station: StationId) -> (u16, u16, ErrorState) {

@@ -5,6 +5,7 @@ use myactuator_host_std::sim::plant::{DeratingParameters, Load, MotorParameters}
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::drive::{Event, Limit};
 use myactuator_protocol_core::io::Runner;
+use myactuator_tests::fleet::{happened, state};
 use myactuator_tests::values::{go_to, millis};
 
 /// An X8-120, whose stall current is 43.8 A, pushes a load that hardly moves. The drive reduces this current to nothing
@@ -27,15 +28,9 @@ fn a_hot_motor_gets_less_current_and_the_limit_is_reported() {
             drive.plant_mut().force_mos_temperature_c(Some(mos_c)).unwrap();
         });
         fleet.world.run_for(millis(100));
-        drive.with(|drive| {
-            let mut told = Vec::new();
-            while let Some(event) = drive.poll_event() {
-                if let Event::Limited(limit) = event {
-                    told.push(limit);
-                }
-            }
-            (drive.state().measurement.current_a, told)
-        })
+        let limit = |event| if let Event::Limited(limit) = event { Some(limit) } else { None };
+        let told: Vec<Limit> = happened(drive).into_iter().filter_map(limit).collect();
+        (state(drive).measurement.current_a, told)
     };
     fleet.master::<1>().ask(MotorId::MIN, go_to(9_000.0, 900)).unwrap();
     assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
