@@ -19,6 +19,7 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::Event;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
+use myactuator_tests::values::GRAVITY_M_S2;
 
 const MOTORS: u8 = MotorId::COUNT as u8;
 const BIT_RATE: u32 = 1_000_000;
@@ -80,7 +81,7 @@ fn stream<R: Runner<32>>(master: &mut R, give: GiveSetPoint<R>) -> u32 {
 /// Drives with arms of half a metre. The weight of an arm needs half of the rated torque.
 fn fleet() -> Fleet {
     let model = MotorParameters::named("RMD-X8-P20-120").expect("a model of the library");
-    let mass_kg = 0.5 * model.rating.torque_nm / (9.81 * 0.5);
+    let mass_kg = 0.5 * model.rating.torque_nm / (GRAVITY_M_S2 * 0.5);
     let arm = Arm { mass_kg, length_m: 0.5, down_deg: 0.0 };
     Fleet::new(MOTORS).model(model).load(Load { arm: Some(arm), ..Load::NONE })
 }

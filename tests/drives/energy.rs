@@ -8,11 +8,11 @@ use myactuator_host_std::sim::plant::{
 };
 use myactuator_protocol_core::drive::{Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
+use myactuator_tests::values::GRAVITY_M_S2;
 
 use super::plant_physics::{OFF, amps, angle, speed};
 
-const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
-const GRAVITY_M_S2: f64 = 9.80665;
+pub(super) const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
 
 /// Both sides of the gear's play, as seen from outside.
 #[derive(Clone, Copy)]

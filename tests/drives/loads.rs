@@ -6,13 +6,13 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ErrorFlags, ReadMultiTurnAngle, Shutdown};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::values::{go_to, id, millis, turn};
+use myactuator_tests::values::{GRAVITY_M_S2, go_to, id, millis, turn};
 
 const MOTOR: MotorId = MotorId::MIN;
 
 /// An arm of half a metre that hangs at 0°. This share of the rated torque can just hold it level.
 fn arm(model: &MotorParameters, share: f64) -> Load {
-    let mass_kg = share * model.rating.torque_nm / (9.80665 * 0.5);
+    let mass_kg = share * model.rating.torque_nm / (GRAVITY_M_S2 * 0.5);
     Load { arm: Some(Arm { mass_kg, length_m: 0.5, down_deg: 0.0 }), ..Load::NONE }
 }
 

@@ -2,17 +2,15 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use myactuator_host_std::sim::plant::{Arm, EndStop, Load, SimulatedMotor, Spring};
+use myactuator_host_std::sim::plant::{Arm, EndStop, Load, STEP, SimulatedMotor, Spring};
 use myactuator_protocol_core::drive::Plant;
 use myactuator_protocol_core::time::Duration;
+use myactuator_tests::values::GRAVITY_M_S2;
 
+use super::energy::STEP_S;
 use super::plant_physics::{
     INERTIA, MS, OFF, amps, angle, close, ideal, loaded, speed, with_friction,
 };
-
-const STEP: Duration = Duration::from_micros(100);
-const STEP_S: f64 = 1e-4;
-const G: f64 = 9.806_65;
 
 fn sprung(stiffness_nm_per_rad: f64) -> Load {
     Load { spring: Some(Spring { rest_deg: 0.0, stiffness_nm_per_rad }), ..Load::NONE }
@@ -26,7 +24,7 @@ fn ended(at_deg: f64, stiffness_nm_per_rad: f64, restitution: f64) -> Load {
 /// 2 kg at 0.4 m that hang at 30°: 7.85 N·m when level, 0.32 kg·m².
 const ARM: Arm = Arm { mass_kg: 2.0, length_m: 0.4, down_deg: 30.0 };
 const HANGING: Load = Load { arm: Some(ARM), ..Load::NONE };
-const WEIGHT_NM: f64 = 2.0 * G * 0.4;
+const WEIGHT_NM: f64 = 2.0 * GRAVITY_M_S2 * 0.4;
 const HANGING_KG_M2: f64 = INERTIA + 2.0 * 0.4 * 0.4;
 
 /// The mean time between upward passages of an angle, s, and the number of periods in that mean.

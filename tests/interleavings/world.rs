@@ -15,6 +15,7 @@ use std::hash::{Hash, Hasher};
 use myactuator_protocol_core::master::{Bus, Config, StopKind, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
+use myactuator_tests::values::LOST_MASTER;
 
 use super::canonical::from_now;
 
@@ -25,7 +26,6 @@ const RESPONSE: Duration = MS;
 const MAILBOXES: usize = 3;
 /// Byte 1 of a reply to an executed command, unless the reply is an acknowledgement.
 const DONE: u8 = 0x11;
-const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 
 /// The clock does not start at zero, because zero means "never" to the master.
 pub(crate) const START: Instant = Instant::from_millis(1_000);

@@ -13,10 +13,10 @@ use super::scenarios::Scenario;
 use super::to_all::SHUTDOWN;
 
 /// The attempts of a stop, and the time-out of each.
-const STOP_ATTEMPTS: u32 = 15;
+pub(super) const STOP_ATTEMPTS: u32 = 15;
 const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// The time-out of a write to ROM, and of a command that no firmware knows.
-const ROM_TIMEOUT: Duration = Duration::from_millis(20);
+pub(super) const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 /// The longest time without a look: the caller takes earlier events first, or waits after a failure.
 const NOBODY_LOOKS: Duration = Duration::from_millis(5);
 

@@ -10,11 +10,10 @@ use myactuator_tests::values::id;
 
 use super::bounds::{Bounds, Quiet};
 use super::oracle::{Oracle, Totals};
+use super::restarts::RESTART_IS_TOLD;
 use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// By then a restart is reported: its event waits for earlier events, and for a caller that does not look.
-const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
 
 /// One run of a scenario.

@@ -14,6 +14,7 @@ use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Channel, Command, Data, MotorId, Packet, Target};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::rig::with_token;
+use myactuator_tests::values::LOST_MASTER;
 use myactuator_tests::wire::Wire;
 
 use super::names::{REPORTS, STRANGER_MARK, STRANGERS, has_angle, has_values, is_asking};
@@ -24,7 +25,6 @@ use super::turning::Shaft;
 
 /// A byte that no drive here knows.
 pub(crate) const UNKNOWN: u8 = 0x71;
-const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 /// How often a drive that has lost its master reports that. Real drives do so once a second.
 const HEARTBEAT: Duration = Duration::from_millis(20);
 /// How long it hears nothing before that.

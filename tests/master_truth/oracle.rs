@@ -6,6 +6,7 @@ use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::master::{Event, Failure, Health, MotorSet, TicketId};
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
 
+use super::bounds::STOP_ATTEMPTS;
 use super::excuses::Excuse;
 use super::names::{Name, has_values, question_of};
 use super::restarts::{check_restarted, note_answered};
@@ -14,9 +15,6 @@ use super::sayings::{
 };
 use super::to_all::STOP;
 use super::truth::{DONE, Sending, Truth};
-
-/// A stop is given up after this many attempts.
-const STOP_ATTEMPTS: u32 = 15;
 
 /// A request without an outcome so far.
 #[derive(Clone, Copy, Debug)]

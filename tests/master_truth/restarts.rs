@@ -14,8 +14,8 @@ const IS_OLD: i64 = 48 * 24 * 3_600 * 1_000_000;
 const CLOCKS_DIFFER: i64 = 250_000;
 const CLOCKS_DIFFER_BY: i64 = 64;
 const STEPS: i64 = 10_000;
-/// A restart that a run time shows is reported within this time.
-const IS_TOLD: Duration = Duration::from_millis(50);
+/// By then a restart is reported: its event waits for earlier events, and for a caller that does not look.
+pub(super) const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 
 /// What is known about how long a drive has run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -78,12 +78,12 @@ impl RunTime {
     /// Whether it may show less than the drive has run, which no master can know.
     fn may_have_begun_anew(&self, now: Instant, world: Instant) -> bool {
         !self.is_known && self.begins_anew.is_some_and(|at| at <= world)
-            || self.read_anew.is_some_and(|at| now - at <= IS_TOLD)
+            || self.read_anew.is_some_and(|at| now - at <= RESTART_IS_TOLD)
     }
 
     /// Whether a restart that it shows was not reported in time.
     pub(crate) fn is_restart_untold(&self, now: Instant) -> bool {
-        self.shown.is_some_and(|since| now - since > IS_TOLD)
+        self.shown.is_some_and(|since| now - since > RESTART_IS_TOLD)
     }
 }
 
@@ -121,7 +121,7 @@ pub(super) fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let may_seem_so = page.turning.may_seem_to_jump(now);
     // From a made-up angle it jumps back. This may also be the jump to that angle.
     let was_misled = page.misled.take();
-    let is_there = was_misled.filter(|(_, told)| now - *told <= IS_TOLD);
+    let is_there = was_misled.filter(|(_, told)| now - *told <= RESTART_IS_TOLD);
     let is_misled = misleading.filter(|_| !may_have && !has).map(|excuse| (excuse, now));
     page.misled = is_misled.or(is_there);
     let misleading = misleading.or(was_misled.map(|(excuse, _)| excuse));

@@ -6,6 +6,7 @@ use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::master::{Bus, Config, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
+use super::bounds::ROM_TIMEOUT;
 use super::doubt::shows_echo;
 use super::names::Name;
 use super::to_all::SHUTDOWN;
@@ -14,8 +15,6 @@ use super::truth::{Page, Truth};
 /// If a port refuses the stop, it is offered again after 1 ms. A caller that takes an error or events first does not
 /// look meanwhile.
 const NEXT_OFFER: Duration = Duration::from_micros(1_500);
-/// Longer than the time-out of any other reply.
-const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 /// A motor that has not answered this many commands in a row counts as dead.
 const IS_DEAD: u32 = 5;
 

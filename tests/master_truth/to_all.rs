@@ -5,7 +5,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
-use super::bounds::Quiet;
+use super::bounds::{Quiet, STOP_ATTEMPTS};
 use super::names::Name;
 use super::truth::Truth;
 
@@ -14,8 +14,6 @@ pub(super) const STOP: u8 = 0x81;
 
 /// The longest that a stop waits for commands that it pushes aside.
 const STOP_TAKES: Duration = Duration::from_millis(100);
-/// A stop with this many attempts may be over, which was not reported yet.
-const STOP_ATTEMPTS: u32 = 15;
 
 /// The newest command to all of a caller.
 #[derive(Clone, Copy, Debug)]
@@ -197,7 +195,7 @@ impl Truth {
             let is_unsure = (page.may_be_stopping || others.len() > 0)
                 && others.chain([&page.stop]).any(|other| other.byte == byte);
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
-                // Unless the stop is over and not reported yet.
+                // Unless the stop is over after all its attempts and not reported yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
                 if page.stop.byte != byte {
                     page.other_stops.push(page.stop);

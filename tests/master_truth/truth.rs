@@ -24,7 +24,7 @@ pub(crate) const DONE: u8 = 0xD0;
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
 /// A bus that takes nothing for this long carries nothing.
-const STUCK_AFTER: Duration = Duration::from_millis(5);
+pub(super) const STUCK_AFTER: Duration = Duration::from_millis(5);
 
 /// What happened to one command.
 #[derive(Clone, Copy, Debug, Default)]

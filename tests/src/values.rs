@@ -1,9 +1,15 @@
 //! Short ways to make values that are known to be in range.
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, ForcePosition, Speed, Torque};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, Current, Gain, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_protocol_core::{Data, MotorId};
+
+/// Standard gravity.
+pub const GRAVITY_M_S2: f64 = 9.806_65;
+
+/// What a drive sends that has lost its master.
+pub const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 
 /// The id of a motor.
 pub fn id(number: u8) -> MotorId {

@@ -7,6 +7,7 @@ use std::hash::{Hash, Hasher};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::rs485::{FRAME_LENGTH, Frame};
 use myactuator_protocol_core::{Data, MotorId, Target};
+use myactuator_tests::values::LOST_MASTER;
 
 use crate::interleavings::canonical::from_now;
 use crate::interleavings::world::motor_at;
@@ -21,7 +22,6 @@ const LAST_ANSWER: Duration = Duration::from_millis(4);
 const LAST_ECHO: Duration = Duration::from_millis(99);
 
 const STATUS: Data = [0x9A, 50, 30, 1, 0xE5, 1, 0, 0];
-const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 /// Bytes that are no frame, although one could begin at each header.
 const NOISE: [u8; FRAME_LENGTH] = *b">\x01\x08>\x01\x08>\x01\x08>\x01\x08>";
 

@@ -12,12 +12,10 @@ use myactuator_protocol_core::wire::rs485::FRAME_LENGTH;
 use myactuator_tests::wire::Wire;
 
 use super::{Book, Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared, with};
+use crate::master_truth::truth::STUCK_AFTER;
 
 /// A serial port that has taken a part of a frame takes the rest within this.
 const LONGEST_GAP_US: u64 = 500;
-
-/// If a port holds a frame for this long, the bus counts as failed.
-const STUCK: Duration = Duration::from_millis(5);
 
 /// The loops take a port that holds a frame for 20 ms for a failed one. This allows for less.
 const LONG: Duration = Duration::from_millis(15);
@@ -50,7 +48,7 @@ impl<M: Medium> Drop for Holds<M> {
         let (mut truth, now) = (self.book.open(), self.world.now());
         truth.tick(now);
         truth.nobody_could_offer();
-        if now - self.since > STUCK {
+        if now - self.since > STUCK_AFTER {
             truth.bus_has_failed();
         }
         // A caller that has waited for this long may give up before the frame was sent.
