@@ -177,6 +177,24 @@ impl Sink {
     }
 }
 
+impl Sink {
+    /// A number or a name. Most are told apart by their first letter, because this is most of the work of a search.
+    fn word(&mut self, piece: &str) {
+        match piece.as_bytes() {
+            [b'0'..=b'9', ..] => {
+                if let Ok(number) = piece.parse() {
+                    return self.number(number);
+                }
+            }
+            [b'A'..=b'Z', ..] if piece == "Instant" => return self.is_instant = true,
+            [b'A'..=b'Z', ..] => self.last_owner = Owner::named(piece),
+            _ if self.field == Field::Ignored && matches!(piece, "true" | "false") => return,
+            _ => self.last_field = self.owner().field(piece),
+        }
+        piece.hash(&mut self.hasher);
+    }
+}
+
 impl Write for Sink {
     fn write_str(&mut self, piece: &str) -> fmt::Result {
         match piece {
@@ -191,20 +209,7 @@ impl Write for Sink {
             _ if self.owner() == Owner::LeftOut => {}
             ": " => self.field = self.last_field,
             ", " | "(" | ")" => {}
-            "Instant" => self.is_instant = true,
-            "true" | "false" if self.field == Field::Ignored => {}
-            _ => {
-                if let Ok(number) = piece.parse() {
-                    self.number(number);
-                    return Ok(());
-                }
-                if piece.starts_with(|first: char| first.is_ascii_uppercase()) {
-                    self.last_owner = Owner::named(piece);
-                } else {
-                    self.last_field = self.owner().field(piece);
-                }
-                piece.hash(&mut self.hasher);
-            }
+            _ => self.word(piece),
         }
         Ok(())
     }
