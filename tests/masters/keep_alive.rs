@@ -3,18 +3,20 @@
 use core::ops::ControlFlow;
 
 use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::trace::{self, Record};
 use myactuator_host_std::sim::plant::Load;
-use myactuator_host_std::sim::{BusFleet, Fleet};
+use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet};
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AbsolutePosition, Stop};
+use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus1, Stop};
 use myactuator_protocol_core::drive::{Event, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
 use myactuator_tests::fleet::{happened, master, state};
 use myactuator_tests::on_both_buses;
-use myactuator_tests::values::{id, millis};
+use myactuator_tests::values::{go_to, id, millis};
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
@@ -27,6 +29,9 @@ on_both_buses! {
     one_that_is_not_there_is_waited_for
     two_with_one_id_are_told_apart
     two_of_them_are_dead
+    a_bus_that_is_out_for_a_while
+    those_that_a_scan_has_found
+    a_motor_that_does_not_confirm_a_stop
 }
 
 /// A restart takes ten times as long, and twice as long without an answer.
@@ -154,6 +159,116 @@ fn all_of_a_can_bus_hold_behind_an_adapter_that_delivers_in_bursts() {
         assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
     }
     bus.drives.iter().for_each(|drive| drop(happened(drive)));
+    assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
+    check_others_hold(&bus);
+}
+
+/// The bus is back long before their protection stops them.
+fn a_bus_that_is_out_for_a_while<W: Wire>() {
+    let (bus, mut runner) = held::<W>();
+    for motor in others() {
+        let limit = Milliseconds::from_raw(600);
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    let wires = bus.drives.iter().map(|drive| drive.station());
+    wires.clone().for_each(|wire| bus.world.cut(wire));
+    let _ = bring_up::wait_until_there(&mut runner, id(20), millis(200));
+    wires.for_each(|wire| bus.world.mend(wire));
+    let _ = bring_up::wait_until_there(&mut runner, id(20), millis(1_000));
+    check_others_hold(&bus);
+}
+
+/// Another master has had them hold.
+fn those_that_a_scan_has_found<W: Wire>() {
+    let (bus, mut runner) = held::<W>();
+    let (all, mut runner) = (runner.master().motors(), master(&bus));
+    assert_eq!(bring_up::scan(&mut runner, all, |_, _| {}), Ok(all));
+    bring_up::wait_until_there(&mut runner, id(20), millis(500)).unwrap_err();
+    check_others_hold(&bus);
+}
+
+/// It is told again and again to stop.
+fn a_motor_that_does_not_confirm_a_stop<W: Wire>() {
+    let (bus, mut runner) = held::<W>();
+    bus.world.cut(bus.drives[5].station());
+    assert!(!runner.stop(id(MOTORS), StopKind::Hold));
+    for motor in others().filter(|motor| *motor != id(MOTORS)) {
+        runner.ask(motor, ReadStatus1).unwrap();
+    }
+    bus.drives.iter().for_each(|drive| drop(happened(drive)));
+    bring_up::wait_until_there(&mut runner, id(20), millis(500)).unwrap_err();
+    for drive in &bus.drives[1..5] {
+        assert!(!happened(drive).contains(&Event::ProtectionTripped), "{}", drive.motor());
+    }
+}
+
+/// Eight motors on a slow line, all with loads that pull at them. All hold.
+fn eight_on_a_slow_line() -> (LineFleet, impl Runner<8, Error: PartialEq>) {
+    let quirks = Quirks { slow_brake: true, ..Quirks::default() };
+    let load = Load { torque_nm: 5.0, ..Load::NONE };
+    let fleet = Fleet::new(8).brakes(true).quirks(quirks).load(load);
+    let bus = fleet.on_rs485(115_200).unwrap();
+    let mut runner = bus.master::<8>();
+    for motor in MotorId::all().take(8) {
+        assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
+    }
+    (bus, runner)
+}
+
+/// When motor 1 was sent this, or anything.
+fn times_sent(log: &[Record<Vec<u8>>], bus: &LineFleet, byte: Option<u8>) -> Vec<Instant> {
+    let sent = log.iter().filter(|record| {
+        let is_of_master = bus.drives.iter().all(|drive| drive.station() != record.station);
+        matches!(&record.event, trace::Event::Carried { frame, .. }
+            if is_of_master && frame[1] == 1 && byte.is_none_or(|byte| frame[3] == byte))
+    });
+    sent.map(Record::at).collect()
+}
+
+fn longest_pause(times: &[Instant]) -> Duration {
+    times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap()
+}
+
+/// Two frames of 13 bytes of 10 bits, 0.9 ms of response, and 0.1 ms to turn around.
+const SLOW_EXCHANGE: Duration = Duration::from_micros(2 * 1_129 + 900 + 100);
+
+#[test]
+fn a_falling_load_is_looked_at_first_however_many_motors_are_on_a_slow_line() {
+    let (bus, mut runner) = eight_on_a_slow_line();
+    bus.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    let log = bus.world.log();
+    let slips = bring_up::lock_brake(&mut runner, id(1));
+    assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
+    let log = log.take();
+    let pause = longest_pause(&times_sent(&log, &bus, None));
+    // It is spoken to every 10 ms. One more exchange may be under way before it is asked, and one behind its answer.
+    assert!(pause <= millis(10) + SLOW_EXCHANGE.times(3), "{pause}");
+    // The motor holds right after its brake was told to open.
+    let opened = times_sent(&log, &bus, Some(0x77))[0];
+    let held = times_sent(&log, &bus, Some(0x81)).into_iter().find(|at| *at > opened).unwrap();
+    assert!(held - opened <= SLOW_EXCHANGE.times(2), "{}", held - opened);
+}
+
+#[test]
+fn a_moving_motor_is_looked_at_as_often_however_many_motors_are_on_a_slow_line() {
+    let (bus, mut runner) = eight_on_a_slow_line();
+    let log = bus.world.log();
+    let go_on = |_: &_| ControlFlow::Continue(());
+    bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), go_on).unwrap();
+    let pause = longest_pause(&times_sent(&log.take(), &bus, Some(0x92)));
+    assert!(pause <= millis(20) + SLOW_EXCHANGE.times(2), "{pause}");
+}
+
+#[test]
+fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
+    let (bus, mut runner) = eight_on_a_slow_line();
+    for motor in MotorId::all().take(8) {
+        assert_eq!(bring_up::protect(&mut runner, motor, LIMIT), Ok(Protection::Confirmed));
+    }
+    check_others_hold(&bus);
+    let go_on = |_: &_| ControlFlow::Continue(());
+    bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), go_on).unwrap();
+    check_others_hold(&bus);
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
     check_others_hold(&bus);
 }

@@ -2,8 +2,8 @@
 //! [`async_bring_up`](crate::io::async_bring_up).
 //!
 //! They wait for what they ask. Meanwhile the caller can put no set-points, and events of other motors are ignored. So
-//! use them before a control loop runs, not inside one. A function that waits asks every other motor that answers for
-//! its run time (0xB1) all the while, so that none lets go because it [hears nothing](protect).
+//! use them before a control loop runs, not inside one. A function that waits asks all motors that have a place in the
+//! master for their run times (0xB1) all the while, so that none lets go because it [hears nothing](protect).
 
 use core::ops::ControlFlow;
 
@@ -152,7 +152,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77, 2.19.1).
 ///
 /// The motor holds its shaft from the beginning (0x81), so that no load falls. That also stops a motor that moves,
-/// whoever moves it. If the load has begun to turn the shaft, this waits up to half a second until it is at rest. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
+/// whoever moves it. If the load has begun to turn the shaft, this waits up to half a second until it is at rest. To let
+/// the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
 /// Speed and position commands open a brake on their own, and hold.
 ///
@@ -234,9 +235,9 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   has locked by then, and torque and motion commands do not open it: [release](release_brake) it again.
 /// - A load falls until the brake holds: [lock](lock_brake) it before you fall silent on purpose.
 /// - The functions here that wait speak to each motor every 20 ms, or as often as the bus carries: on RS485 to one
-///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. Leave the protection time
-///   for that: 100 ms is enough for six motors without such an adapter. A shorter time may end what another motor holds,
-///   which they do not report, or a [move](move_to).
+///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. A motor that is silent is
+///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
+///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
 ///
 /// # Errors
 /// [`CallError`].

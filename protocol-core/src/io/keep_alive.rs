@@ -4,14 +4,16 @@
 //! heard nothing for a while. The caller puts no set-points while a function waits.
 
 use crate::command::ReadRunTime;
-use crate::id::MotorId;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::runner::LONGEST_IDLE;
-use crate::master::{Event, Master, MotorSet};
+use crate::master::{Event, Failure, Master, MotorSet};
 use crate::time::{Duration, Instant};
 
 /// How long a motor may be sent nothing before it is asked. A function that works with a motor speaks to it as often.
 const LONGEST_REST: Duration = Duration::from_millis(20);
+/// The same for one that is silent. Its line may have been out for a moment, but on RS485 each question to a dead motor
+/// takes a time-out.
+const LONGEST_REST_OF_SILENT: Duration = Duration::from_millis(100);
 
 /// A loop that asks motors that were sent nothing for a while, while something else is waited for. Their answers are
 /// not needed, but a run time shows the master whether a motor has restarted, and no motor sends it as a report (0xB6).
@@ -20,12 +22,14 @@ pub(super) struct KeepAlive<'a, R: ?Sized> {
     motors: MotorSet,
     /// The motors that have a question.
     asked: MotorSet,
+    /// The bus carries nothing: none is asked until then.
+    rests_until: Instant,
 }
 
 impl<'a, R: ?Sized> KeepAlive<'a, R> {
     /// Asks these motors.
     pub(super) fn new(runner: &'a mut R, motors: MotorSet) -> Self {
-        Self { runner, motors, asked: MotorSet::EMPTY }
+        Self { runner, motors, asked: MotorSet::EMPTY, rests_until: Instant::ZERO }
     }
 
     /// Does this work. Then waits for the last answer, so that no motor is left busy.
@@ -37,27 +41,34 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         R: AsyncRunner<N>,
     {
         let result = work(&mut self).await;
-        self.motors = MotorSet::EMPTY;
         while !self.asked.is_empty() {
             let soon = self.now() + LONGEST_IDLE;
-            if self.run(Some(soon)).await.is_err() {
-                break;
+            // Not longer than that: a load may fall that is to be looked at.
+            match self.runner.run(Some(soon)).await {
+                Ok(Some(event)) => drop(self.takes(&event)),
+                Ok(None) => {}
+                Err(_) => break,
             }
         }
         result
     }
 
-    /// On RS485, asks one at a time: what is waited for, such as a look at a load that may fall, waits for their
-    /// answers.
+    /// On RS485, asks one at a time, and none while something else waits for the line: a load may fall that is to be
+    /// looked at.
     fn ask<const N: usize>(&mut self, now: Instant)
     where
         R: AsyncRunner<N>,
     {
         let master = self.runner.master();
-        let most = if master.config().is_rs485() { 1 } else { N };
+        let most = match master.config().is_rs485() {
+            true if master.has_something_to_send(now) => 0,
+            true => 1,
+            false => N,
+        };
         let once = Some(master.patience(1));
         while self.asked.len() < most {
-            let resting = master.longest_resting(self.motors, now, LONGEST_REST);
+            let resting =
+                master.longest_resting(self.motors, now, LONGEST_REST, LONGEST_REST_OF_SILENT);
             let Some(motor) = resting else { return };
             if master.put_request(motor, &ReadRunTime, once).is_err() {
                 return;
@@ -66,12 +77,33 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         }
     }
 
-    /// The motor that has answered its question, or failed to. Until then it takes no other.
-    fn answered(&self, event: &Event) -> Option<MotorId> {
+    /// Whether a motor has answered its question, or failed to. Until then it takes no other.
+    fn takes<const N: usize>(&mut self, event: &Event) -> bool
+    where
+        R: AsyncRunner<N>,
+    {
         let (Event::Reply { ticket, .. } | Event::Failed { ticket, .. }) = event else {
-            return None;
+            return false;
         };
-        Some(ticket.motor()).filter(|motor| self.asked.contains(*motor))
+        let is_asked = self.asked.contains(ticket.motor());
+        self.asked.remove(ticket.motor());
+        if let Event::Failed { failure: Failure::BusDown, .. } = event {
+            self.rests_until = self.runner.now() + LONGEST_REST;
+        }
+        is_asked
+    }
+
+    /// An event that the master still has after an error of the bus, which may come back at each look.
+    pub(super) fn poll_event<const N: usize>(&mut self) -> Option<Event>
+    where
+        R: AsyncRunner<N>,
+    {
+        loop {
+            let event = self.runner.master().poll_event()?;
+            if !self.takes(&event) {
+                return Some(event);
+            }
+        }
     }
 }
 
@@ -89,16 +121,18 @@ impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeepAlive<'_
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, R::Error> {
         loop {
             let now = self.now();
-            if until.is_none_or(|until| now < until) {
+            if self.rests_until <= now && until.is_none_or(|until| now < until) {
                 self.ask(now);
             }
             let soon = now + LONGEST_IDLE;
             let wake_at = until.map_or(soon, |until| until.min(soon));
             let event = self.runner.run(Some(wake_at)).await?;
-            match event.as_ref().and_then(|event| self.answered(event)) {
-                Some(motor) => self.asked.remove(motor),
-                None if event.is_none() && until.is_none_or(|until| self.now() < until) => {}
-                None => return Ok(event),
+            let goes_on = match &event {
+                Some(event) => self.takes(event),
+                None => until.is_none_or(|until| self.now() < until),
+            };
+            if !goes_on {
+                return Ok(event);
             }
         }
     }

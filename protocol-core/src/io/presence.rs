@@ -46,7 +46,7 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
 }
 
 async fn look_for<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+    runner: &mut KeepAlive<'_, R>,
     candidates: MotorSet,
     found: &mut MotorSet,
     mut on_answer: impl FnMut(MotorId, bool),
@@ -61,6 +61,10 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
     let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
+            // Known motors are asked in between: on RS485 a question that waits is before theirs.
+            if runner.master().config().is_rs485() && !asked.is_empty() {
+                break;
+            }
             match runner.master().request_with(motor, ReadStatus1, patience) {
                 Ok(_ticket) => {
                     waiting.remove(motor);
@@ -87,7 +91,7 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
             Ok(event) => event,
             Err(error) => {
                 given_up.get_or_insert(CallError::Bus(error));
-                runner.master().poll_event()
+                runner.poll_event()
             }
         };
         if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {

@@ -128,21 +128,23 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
     }
 
-    /// Of these motors, the one that was sent nothing for longest, and at least for `rest`. It is heard and has nothing
-    /// under way.
+    /// Of these motors, the one that was sent nothing for longest, and at least for `rest`, and has nothing under way.
+    /// One that is silent comes after the others, and rests for `silent_rest`.
     pub(crate) fn longest_resting(
         &self,
         motors: MotorSet,
         now: Instant,
         rest: Duration,
+        silent_rest: Duration,
     ) -> Option<MotorId> {
+        let is_silent = |motor: &Motor| motor.health().presence == Presence::Silent;
         let rests = |motor: &Motor| {
-            let is_heard = matches!(motor.health().presence, Presence::Present | Presence::Late);
-            is_heard && motor.is_idle(now) && now - motor.sent >= rest
+            let least = if is_silent(motor) { silent_rest } else { rest };
+            motor.request.is_none() && motor.is_idle(now) && now - motor.sent >= least
         };
-        let all = motors.iter().filter_map(|id| Some((id, self.motors.get(self.places.of(id)?)?)));
+        let all = motors.iter().filter_map(|id| Some((id, self.motor(id)?)));
         let resting = all.filter(|(_, motor)| rests(motor));
-        resting.min_by_key(|(_, motor)| motor.sent).map(|(id, _)| id)
+        resting.min_by_key(|(_, motor)| (is_silent(motor), motor.sent)).map(|(id, _)| id)
     }
 
     /// Gives up a motor's place and counters, so that another motor can have the place. Returns `false`, and changes

@@ -30,6 +30,11 @@ impl Earliest {
 }
 
 impl<const N: usize> Master<N> {
+    /// Whether something may go, once the line is free.
+    pub(crate) fn has_something_to_send(&self, now: Instant) -> bool {
+        self.choose(now).is_some()
+    }
+
     /// Stops first, then a broadcast that is due, then the motor that was served least.
     pub(super) fn choose(&self, now: Instant) -> Option<Offer> {
         if let Some(stop) = self.choose_stop() {

@@ -6,7 +6,7 @@ use std::vec::Vec;
 
 use embedded_can::nb;
 
-use super::world::{Broken, TestCan, TestClock, block_on, on_can};
+use super::world::{Broken, TestCan, TestClock, block_on, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::Data;
 use crate::command::{
@@ -22,7 +22,10 @@ use crate::io::bring_up::{
     self, BringUpError, MoveCommand, MoveFailure, MoveLimits, NotArrived, Protection,
 };
 use crate::io::runner::LONGEST_TURN;
-use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner};
+use crate::io::{
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
+    async_bring_up,
+};
 use crate::master::{Config, Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
@@ -201,6 +204,27 @@ fn a_scan_that_the_bus_ends_waits_for_nobody_longer_than_for_a_turn() {
     assert_eq!(scan, Err(CallError::Bus(Broken)));
     let latest = Instant::ZERO + LONGEST_TURN + Duration::from_millis(100);
     assert!(arm.now() < latest, "{:?}", arm.now());
+}
+
+/// The question to another motor fails with the line, too.
+#[test]
+fn a_scan_ends_when_the_line_has_failed_for_a_moment() {
+    for fails_at in (0..20_000).step_by(1_000) {
+        let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+        for motor in [1, 2, 3].map(id) {
+            block_on(arm.ask(motor, ReadStatus1)).unwrap();
+        }
+        clock.advance(25_000);
+        let from = clock.micros() + fails_at;
+        let fails = async {
+            let _ = async_bring_up::scan(&mut arm, id(9).into(), |_, _| {}).await;
+        };
+        let mut fails = core::pin::pin!(fails);
+        block_on(core::future::poll_fn(|context| {
+            port.state().write_fails = (from..from + 1_500).contains(&clock.micros());
+            fails.as_mut().poll(context)
+        }));
+    }
 }
 
 /// So that a stop of all and a guard reach them, if they turn since somebody else moved them.

@@ -5,16 +5,17 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::vec::Vec;
 
-use embedded_can::nb;
+use embedded_can::{Frame as _, nb};
 
 use super::calls::{Saying, Says, says};
 use super::id;
-use super::world::{Broken, TestCan, on_can};
+use super::world::{Broken, TestCan, TestClock, on_can};
 use crate::Data;
 use crate::command::BrakeCommand;
 use crate::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use crate::io::{CanMaster, Clock, Runner};
 use crate::master::{MotorSet, StopKind};
+use crate::time::Instant;
 use crate::wire::can::SimpleFrame;
 
 /// Another byte is heard in place of the answer: the question has none.
@@ -539,25 +540,39 @@ fn who_slips_behind_its_brake_and_was_held_by_nobody_restarts() {
     assert_eq!(told(&bus)[..2], [0x78, 0x76]);
 }
 
+/// Notes when each frame is sent.
+struct Noted<C>(C, TestClock, Rc<RefCell<Vec<(u8, Instant)>>>);
+
+impl<C: nb::Can<Frame = SimpleFrame>> nb::Can for Noted<C> {
+    type Frame = SimpleFrame;
+    type Error = C::Error;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, C::Error> {
+        self.2.borrow_mut().push((frame.data()[0], self.1.now()));
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, C::Error> {
+        self.0.receive()
+    }
+}
+
 /// It may hear that its brake is to lock, and hold its load until then.
 #[test]
 fn who_answers_nothing_has_the_time_to_lock_its_brake_before_it_restarts() {
     let times = Rc::new(RefCell::new(Vec::new()));
-    let heard = Rc::clone(&times);
+    let sent = Rc::clone(&times);
     let (_bus, _, mut arm) = on_can(move |bus, clock, config| {
-        let at = clock.clone();
-        let silent = move |data: &mut Data| {
-            heard.borrow_mut().push((data[0], at.now()));
+        let silent = |data: &mut Data| {
             if [0x9A, 0x78].contains(&data[0]) {
                 data[0] = NO_ANSWER;
             }
         };
-        CanMaster::<_, _, 4>::new(Says(bus, silent), clock, config)
+        CanMaster::<_, _, 4>::new(Noted(Says(bus, silent), clock.clone(), sent), clock, config)
     });
     let _restart = bring_up::restart(&mut arm, id(1), id(1));
     let times = times.borrow();
     let last = times.iter().rfind(|(byte, _)| *byte == 0x78).unwrap().1;
-    // Its run time is read right before it is told to restart.
-    let next = times.iter().find(|(byte, at)| *byte == 0xB1 && *at > last).unwrap().1;
+    let next = times.iter().find(|(byte, at)| *byte == 0x76 && *at > last).unwrap().1;
     assert!(next - last >= BRAKE_MOVES, "{:?}", next - last);
 }
