@@ -5,7 +5,7 @@ use core::ops::ControlFlow;
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::trace::{self, Record};
 use myactuator_host_std::sim::plant::Load;
-use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet};
+use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet, MotorSetup};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus1, Stop};
 use myactuator_protocol_core::drive::{Event, Quirks};
@@ -271,4 +271,21 @@ fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
     check_others_hold(&bus);
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
     check_others_hold(&bus);
+}
+
+/// Each question to the two is unanswered, and waited for.
+#[test]
+fn motors_on_a_slow_line_hold_while_two_with_one_id_answer_at_once() {
+    let setups = [1, 1, 2, 3, 4, 5, 6, 7].map(|number| MotorSetup::new(id(number)));
+    let bus = Fleet::of(setups).on_rs485(115_200).unwrap();
+    let mut runner = bus.master::<8>();
+    let limit = Milliseconds::from_raw(200);
+    for motor in (2..=7).map(id) {
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+        runner.ask(motor, Stop).unwrap();
+    }
+    assert_eq!(bring_up::is_shared(&mut runner, id(1)), Ok::<_, CallError<_>>(true));
+    for drive in &bus.drives[2..] {
+        assert!(!happened(drive).contains(&Event::ProtectionTripped), "{}", drive.motor());
+    }
 }

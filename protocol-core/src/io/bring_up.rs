@@ -237,7 +237,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 /// - The functions here that wait speak to each motor every 20 ms, or as often as the bus carries: on RS485 to one
 ///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. A motor that is silent is
 ///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
-///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
+///   [`is_shared`] and [`change_id`] wait 100 ms for an answer, and on RS485 speak to no other motor meanwhile: there
+///   200 ms are enough. A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
 ///
 /// # Errors
 /// [`CallError`].

@@ -173,16 +173,19 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
             }
             _ => {}
         };
-        match runner.ask_with(id, command, Some(patience), &mut hear).await {
-            Ok(_) => {}
+        let is_answered = match runner.ask_with(id, command, Some(patience), &mut hear).await {
+            Ok(_) => true,
             Err(CallError::Failed {
                 failure: Failure::NoReply | Failure::Unreadable(_), ..
-            }) => continue,
+            }) => false,
             Err(error) => return Err(error),
-        }
+        };
+        // Otherwise, too: on RS485 nobody else was spoken to while the answer was waited for.
         let both_have_answered = runner.now() + SECOND_ANSWER;
         runner.run_until(both_have_answered, hear).await?;
-        return Ok(is_once);
+        if is_answered {
+            return Ok(is_once);
+        }
     }
     Ok(false)
 }
