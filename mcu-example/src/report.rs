@@ -105,7 +105,8 @@ pub enum Trouble {
     },
     /// A motor that is required, or has answered before, does not answer, or its answer cannot be read. If you take a
     /// motor away on purpose, switch the board off and on, so that it forgets the motor. While shafts are checked, it
-    /// means that the motor confirms its stops and does not say whether its shaft stands: its load may fall.
+    /// means that the motor confirms its stops, and does not say whether its shaft stands or cannot be told to hold:
+    /// its load may fall.
     Silent {
         /// The motor.
         motor: MotorId,
@@ -152,7 +153,7 @@ pub enum StateName {
     /// Brakes are locked and outputs switched off. Then the shafts are checked.
     ShuttingDown,
     /// A shutdown was broken off, or a motor that let go while all were stopped turns behind its brake. The shafts of
-    /// the motors whose brakes were told to lock, or have locked, are checked, and the motors whose shafts turn are told
-    /// to hold again.
+    /// the motors whose brakes were told to lock, or have locked, are checked, and the motors whose shafts turn are
+    /// told to hold again.
     Looking,
 }

@@ -62,7 +62,8 @@ impl<const N: usize> App<N> {
             }
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
             Answer::Turns if matches!(self.state, State::Stopped { .. }) => {
-                self.unseen.insert(motor);
+                // What makes one brake slip may make others slip.
+                self.unseen = self.unseen.with(self.watched());
                 None
             }
             Answer::Turns => Some(Trouble::Turns { motor }),

@@ -56,9 +56,10 @@ pub struct App<const N: usize> {
     /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
     /// since.
     unseen: MotorSet,
-    /// Motors that may have let go since the last shutdown, so that their brakes may have to hold, and motors that did
-    /// not say whether their shafts stand.
+    /// Motors that may have let go since the last shutdown, so that their brakes may have to hold, and missed ones.
     watched: MotorSet,
+    /// Motors that did not answer while their shafts were checked, since they last ran or the last shutdown.
+    missed: MotorSet,
     /// From when on a check shows whether the shafts of unseen motors stand.
     shows_at: Instant,
     rounds: Rounds,
@@ -83,6 +84,7 @@ impl<const N: usize> App<N> {
             failed: MotorSet::EMPTY,
             unseen: MotorSet::EMPTY,
             watched: MotorSet::EMPTY,
+            missed: MotorSet::EMPTY,
             shows_at: at.now,
             rounds: Rounds::new(at.now),
             button: Button::new(),
@@ -181,6 +183,7 @@ impl<const N: usize> App<N> {
                 self.failed = MotorSet::EMPTY;
                 self.unseen = MotorSet::EMPTY;
                 self.watched = MotorSet::EMPTY;
+                self.missed = MotorSet::EMPTY;
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
@@ -257,6 +260,7 @@ impl<const N: usize> App<N> {
                         }
                         // All motors hold, and their brakes are open.
                         self.unseen = MotorSet::EMPTY;
+                        self.missed = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);

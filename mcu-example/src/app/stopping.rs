@@ -142,12 +142,14 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// The shaft of a motor could not be checked. It is checked once more, when the motor confirms the next stop. After
-    /// that it is only watched: the motor may never answer this, and while shafts are checked, the button does nothing.
+    /// A motor did not answer while its shaft was checked. That is done once more, when the motor confirms the next
+    /// stop. After that it is at most watched: the motor may never answer this, and while shafts are checked, the
+    /// button does nothing.
     pub(super) fn missed_look(&mut self, motor: MotorId, at: &mut Moment<'_, N, impl Board>) {
-        if self.watched.contains(motor) {
+        if self.missed.contains(motor) {
             at.board.log(&Report::Trouble(Trouble::Silent { motor }));
         } else {
+            self.missed.insert(motor);
             self.watched.insert(motor);
             self.unseen.insert(motor);
         }

@@ -275,7 +275,7 @@ fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
 }
 
 /// It hears nothing for so long that it cuts its output on its own, or it restarts.
-fn lets_go<B: Moved>(
+pub(super) fn lets_go<B: Moved>(
     firmware: &mut Firmware<'_, B>,
     drive: &DriveHandle,
     is_restart: bool,

@@ -2,14 +2,13 @@
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{Arm, Load};
-use myactuator_mcu_example::{Moment, Report, Setup, StateName, Trouble, cycle};
+use myactuator_mcu_example::{Moment, Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::{
     ActiveReply, BrakeCommand, ErrorFlags, ReportedCommand, Switch,
 };
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, StopKind};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::units::ReportInterval;
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
@@ -27,12 +26,11 @@ on_both_buses! {
     what_is_held_again_is_held_on_when_another_confirms_late
     a_press_that_is_under_way_when_something_falls_starts_nothing
     a_motor_that_is_not_asked_keeps_no_other_from_being_held_again
-    a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
     a_product_that_stops_by_switching_off_holds_nothing
 }
 
 /// Holds the button until the motors are being shut down.
-fn shut_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
+pub(super) fn shut_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
     firmware.panel.is_button_down = true;
     firmware.run_until(Report::State(StateName::ShuttingDown), millis(1_100));
     firmware.panel.is_button_down = false;
@@ -256,62 +254,6 @@ fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     // As behind any shutdown that is broken off this soon: 155 ms.
     assert!(fallen_deg(&bus, &before_deg)[1].abs() < 18.0);
     firmware.stays_stopped();
-}
-
-/// A bus on which motor 3 answers whatever it is asked, except for status 2 (0x9C).
-struct Mute<'a, R>(&'a mut R);
-
-impl<R: Runner<8>> Runner<8> for Mute<'_, R> {
-    type Error = R::Error;
-
-    fn master(&mut self) -> &mut Master<8> {
-        self.0.master()
-    }
-
-    fn now(&self) -> Instant {
-        self.0.now()
-    }
-
-    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
-        Ok(self.0.poll()?.map(|event| match event {
-            Event::Reply { ticket, data, .. } if ticket.motor() == id(3) && data[0] == 0x9C => {
-                Event::Failed { ticket, failure: Failure::NoReply }
-            }
-            event => event,
-        }))
-    }
-
-    fn idle(&mut self, until: Instant) {
-        self.0.idle(until);
-    }
-}
-
-fn a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive<B: Moved>() {
-    let bus = loaded::<B>(3, true);
-    let (mut firmware, _) = before_shutdown(&bus);
-    shut_down(&mut firmware);
-    firmware.run_for(millis(25));
-    break_off(&mut firmware);
-    let mut run_for = |is_button_down, ms| {
-        let Firmware { runner, app, panel, .. } = &mut firmware;
-        panel.is_button_down = is_button_down;
-        let end = runner.now() + millis(ms);
-        while runner.now() < end {
-            cycle(app, &mut Mute(runner), panel);
-        }
-        panel.reports.clone()
-    };
-    let told = run_for(false, 1_500);
-    let end = [Report::Stopped { unconfirmed: MotorSet::EMPTY }, Report::State(StateName::Stopped)];
-    assert!(told.ends_with(&end), "{told:?}");
-    let [looking, silent] =
-        [Report::State(StateName::Looking), Report::Trouble(Trouble::Silent { motor: id(3) })];
-    let count = |wanted| told.iter().filter(|&&report| report == wanted).count();
-    assert_eq!((count(looking), count(silent)), (2, 1), "{told:?}");
-    assert_eq!(run_for(false, 3_000), told);
-    run_for(true, 50);
-    let told = run_for(false, 2_000);
-    assert!(told.contains(&Report::State(StateName::Running)), "{told:?}");
 }
 
 /// Also if it stops by switching off.

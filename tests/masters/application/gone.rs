@@ -1,0 +1,124 @@
+//! Motors that let go, or do not answer everything, while all are stopped.
+
+use myactuator_mcu_example::{Report, StateName, Trouble, cycle};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet};
+use myactuator_protocol_core::time::Instant;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis};
+
+use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, stays_held};
+use super::shutdown::{break_off, shut_down};
+use super::{Firmware, Moved, told_by};
+
+on_both_buses! {
+    a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
+    a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive
+    brakes_that_slip_at_the_same_time_are_all_seen
+}
+
+/// A bus on which motor 3 answers whatever it is asked, except for this.
+struct Mute<'a, R>(&'a mut R, u8);
+
+impl<R: Runner<8>> Runner<8> for Mute<'_, R> {
+    type Error = R::Error;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+        Ok(self.0.poll()?.map(|event| match event {
+            Event::Reply { ticket, data, .. } if ticket.motor() == id(3) && data[0] == self.1 => {
+                Event::Failed { ticket, failure: Failure::NoReply }
+            }
+            event => event,
+        }))
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+/// Runs on such a bus, and returns what has been reported so far.
+fn run_mute<B: Moved>(
+    firmware: &mut Firmware<'_, B>,
+    mute: u8,
+    is_button_down: bool,
+    ms: u64,
+) -> Vec<Report> {
+    let Firmware { runner, app, panel, .. } = firmware;
+    panel.is_button_down = is_button_down;
+    let end = runner.now() + millis(ms);
+    while runner.now() < end {
+        cycle(app, &mut Mute(runner, mute), panel);
+    }
+    panel.reports.clone()
+}
+
+fn count(told: &[Report], wanted: Report) -> usize {
+    told.iter().filter(|&&report| report == wanted).count()
+}
+
+fn a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    break_off(&mut firmware);
+    let told = run_mute(&mut firmware, 0x9C, false, 1_500);
+    let end = [Report::Stopped { unconfirmed: MotorSet::EMPTY }, Report::State(StateName::Stopped)];
+    assert!(told.ends_with(&end), "{told:?}");
+    let silent = Report::Trouble(Trouble::Silent { motor: id(3) });
+    assert_eq!(count(&told, Report::State(StateName::Looking)), 2, "{told:?}");
+    assert_eq!(count(&told, silent), 1, "{told:?}");
+    assert_eq!(run_mute(&mut firmware, 0x9C, false, 3_000), told);
+    run_mute(&mut firmware, 0x9C, true, 50);
+    let told = run_mute(&mut firmware, 0x9C, false, 2_000);
+    assert!(told.contains(&Report::State(StateName::Running)), "{told:?}");
+}
+
+/// Its brake slips, and the command to open it, or the one to hold, is never answered. A stop holds nothing then.
+fn a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive<B: Moved>() {
+    for mute in [0x77, 0x81] {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        bus.drives[2].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        break_off(&mut firmware);
+        let told = run_mute(&mut firmware, mute, false, 3_000);
+        let [silent, turns] = [Trouble::Silent { motor: id(3) }, Trouble::Turns { motor: id(3) }];
+        assert_eq!(count(&told, Report::Trouble(turns)), 2, "{mute:#x}: {told:?}");
+        assert_eq!(count(&told, Report::Trouble(silent)), 1, "{mute:#x}: {told:?}");
+        assert!(told.ends_with(&[Report::State(StateName::Stopped)]), "{mute:#x}: {told:?}");
+    }
+}
+
+/// Whatever makes one brake slip may make others slip.
+fn brakes_that_slip_at_the_same_time_are_all_seen<B: Moved>() {
+    for slips_after_ms in [1_000, 1_080, 1_160] {
+        let bus = loaded::<B>(8, true);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        let slipping = &bus.drives[1..4];
+        slipping.iter().for_each(|drive| lets_go(&mut firmware, drive, true, 0));
+        firmware.run_for(millis(slips_after_ms));
+        for drive in slipping {
+            drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        }
+        firmware.run_for(millis(1_000));
+        let fallen = fallen_deg(&bus, &before_deg);
+        let case = format!("{slips_after_ms} ms: {fallen:?}");
+        assert!(!slipping.iter().any(is_off), "{case}");
+        assert_eq!(told_by(&firmware, |it| matches!(it, Report::Trouble(_))), 3, "{case}");
+        // The first of them is asked within a round of three questions to eight motors, 12 ms each: 36 degrees without
+        // friction in 225 ms, 60 in 290.
+        assert!(fallen.iter().all(|&fallen| fallen < 60.0), "{case}");
+        stays_held(&mut firmware, &bus);
+    }
+}
