@@ -111,7 +111,8 @@ pub enum Trouble {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has restarted. It may have lost its turns.
+    /// A motor has restarted, so that it may have lost its turns, or it let go otherwise right before the button was
+    /// pressed.
     Restarted {
         /// The motor.
         motor: MotorId,

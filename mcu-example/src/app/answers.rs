@@ -42,9 +42,9 @@ impl<const N: usize> App<N> {
             }
             Answer::None => Some(self.silent(motor, at)),
             Answer::Done => None,
-            Answer::Back => {
-                self.hold_again(motor, at.now);
-                None
+            Answer::Back { was_gone } => {
+                self.hold_again(motor, was_gone, at.now);
+                was_gone.then_some(Trouble::Restarted { motor })
             }
             Answer::Version(version_date) => {
                 self.expected.insert(motor);

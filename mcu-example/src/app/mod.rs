@@ -65,7 +65,7 @@ pub struct App<const N: usize> {
     rounds: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors: [`STOPPED_BY_ITSELF`] after something else stopped
-    /// them, or one of them was told to hold again.
+    /// them, or one of them let go and was told to hold again.
     may_start_at: Instant,
     next_cycle: Instant,
 }
@@ -126,13 +126,13 @@ impl<const N: usize> App<N> {
             Event::Restarted { motor } => {
                 // Motors that are moved are stopped by this. Others get no set-points before they are found.
                 at.master.resume(motor);
-                self.rounds.doubt(motor.into());
+                self.rounds.has_let_go(motor);
                 if self.motor(motor).is_some() {
                     self.trouble(Trouble::Restarted { motor }, at);
                 }
             }
             Event::LostMaster { motor } => {
-                self.rounds.doubt(motor.into());
+                self.rounds.has_let_go(motor);
                 if self.motor(motor).is_some() {
                     self.trouble(Trouble::LostMaster { motor }, at);
                 }
@@ -168,9 +168,6 @@ impl<const N: usize> App<N> {
             (State::Stopped { .. }, Press::Down) => {}
             (State::Stopped { .. }, Press::Short { since }) if since < self.may_start_at => {}
             (State::Stopped { .. }, Press::Short { .. }) => {
-                for motor in &self.motors {
-                    at.master.forget(motor.id);
-                }
                 self.motors.clear();
                 self.failed = MotorSet::EMPTY;
                 let all = self.known();
@@ -227,6 +224,10 @@ impl<const N: usize> App<N> {
                 self.trouble(Trouble::NoMotor, at);
             }
             State::Finding(_) => {
+                // It was not told to hold again yet. Whoever saw it let go pressed to stop it.
+                if let Some(motor) = self.rounds.gone().iter().find(|&it| found.contains(it)) {
+                    return self.trouble(Trouble::Restarted { motor }, at);
+                }
                 // Nothing moves yet, but a brake cannot be opened while a stop is in force.
                 at.master.lift_stop();
                 self.enter(State::Preparing(Script::prepare(found, at.now)), at);

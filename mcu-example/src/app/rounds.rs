@@ -23,12 +23,26 @@ pub(super) struct Rounds {
     doubted: MotorSet,
     /// Motors that may have let go, and have answered once since.
     answered: MotorSet,
+    /// Motors that [have let go](Self::has_let_go), and are not back. The other doubted ones did not answer one
+    /// question, and may answer all others.
+    gone: MotorSet,
 }
 
 impl Rounds {
     pub(super) const fn new(now: Instant) -> Self {
-        let (doubted, answered) = (MotorSet::EMPTY, MotorSet::EMPTY);
-        Self { turn: 0, asked: None, next: now, doubted, answered }
+        let (doubted, answered, gone) = (MotorSet::EMPTY, MotorSet::EMPTY, MotorSet::EMPTY);
+        Self { turn: 0, asked: None, next: now, doubted, answered, gone }
+    }
+
+    /// This motor has let go, or nothing shows that it has not.
+    pub(super) fn has_let_go(&mut self, motor: MotorId) {
+        self.gone.insert(motor);
+        self.doubt(motor.into());
+    }
+
+    /// The motors that have let go, and are not back.
+    pub(super) const fn gone(&self) -> MotorSet {
+        self.gone
     }
 
     /// These motors may have let go. One that has lost its master obeys the third command. So a motor [is
@@ -80,6 +94,8 @@ impl Rounds {
             Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
             // A motor may never say this. If it is gone, the other questions show it.
             Answer::None if question == Question::Stands => {}
+            // It has answered nothing since the last one that it did not answer.
+            Answer::None if self.doubted.contains(motor) => self.has_let_go(motor),
             Answer::None => self.doubt(motor.into()),
             Answer::Errors(_) => {}
             _ if self.doubted.contains(motor) => {
@@ -88,7 +104,9 @@ impl Rounds {
             }
             _ if self.answered.contains(motor) => {
                 self.answered.remove(motor);
-                return Some((motor, Answer::Back));
+                let was_gone = self.gone.contains(motor);
+                self.gone.remove(motor);
+                return Some((motor, Answer::Back { was_gone }));
             }
             _ => {}
         }

@@ -57,7 +57,10 @@ pub(super) enum Answer {
     /// Its shaft does not stand.
     Turns,
     /// It answers again, and obeys.
-    Back,
+    Back {
+        /// Whether it had [let go](super::rounds::Rounds::has_let_go), as far as is known.
+        was_gone: bool,
+    },
 }
 
 impl Question {

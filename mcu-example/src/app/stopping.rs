@@ -133,12 +133,15 @@ impl<const N: usize> App<N> {
     /// If all are stopped, stops a motor once more that may have let go. A motor that has lost its master or restarted
     /// holds nothing until then, although it may have confirmed a stop. If its brake has locked, it holds nothing after
     /// that either: so it is watched.
-    pub(super) fn hold_again(&mut self, motor: MotorId, now: Instant) {
+    pub(super) fn hold_again(&mut self, motor: MotorId, was_gone: bool, now: Instant) {
         self.watched.insert(motor);
         if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
             unconfirmed.insert(motor);
             *again = now;
-            self.may_start_at = now + STOPPED_BY_ITSELF;
+            // A motor that never answers one of the questions comes here again and again, and has not let go.
+            if was_gone {
+                self.may_start_at = now + STOPPED_BY_ITSELF;
+            }
         }
     }
 

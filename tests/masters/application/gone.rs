@@ -13,7 +13,9 @@ use super::{Firmware, Moved, told_by};
 
 on_both_buses! {
     a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
+    a_motor_that_never_answers_one_question_leaves_the_button_alive
     a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive
+    a_press_while_a_motor_lets_go_starts_nothing
     brakes_that_slip_at_the_same_time_are_all_seen
 }
 
@@ -83,6 +85,22 @@ fn a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive<B: M
     assert!(told.contains(&Report::State(StateName::Running)), "{told:?}");
 }
 
+/// It answers all others, so it has not let go. A press says what is wrong.
+fn a_motor_that_never_answers_one_question_leaves_the_button_alive<B: Moved>() {
+    for mute in [0x9A, 0xB1, 0x92] {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        run_mute(&mut firmware, mute, false, 2_000);
+        run_mute(&mut firmware, mute, true, 50);
+        let told = run_mute(&mut firmware, mute, false, 2_500);
+        let silent = Report::Trouble(Trouble::Silent { motor: id(3) });
+        assert!(told.contains(&silent), "{mute:#x}: {told:?}");
+        run_mute(&mut firmware, mute, true, 1_100);
+        let told = run_mute(&mut firmware, mute, false, 500);
+        assert!(told.contains(&Report::State(StateName::ShuttingDown)), "{mute:#x}: {told:?}");
+    }
+}
+
 /// Its brake slips, and the command to open it, or the one to hold, is never answered. A stop holds nothing then.
 fn a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive<B: Moved>() {
     for mute in [0x77, 0x81] {
@@ -97,6 +115,25 @@ fn a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive<B: Move
         assert_eq!(count(&told, Report::Trouble(turns)), 2, "{mute:#x}: {told:?}");
         assert_eq!(count(&told, Report::Trouble(silent)), 1, "{mute:#x}: {told:?}");
         assert!(told.ends_with(&[Report::State(StateName::Stopped)]), "{mute:#x}: {told:?}");
+    }
+}
+
+/// A person who sees it fall presses to stop it, whatever the firmware knows by then.
+fn a_press_while_a_motor_lets_go_starts_nothing<B: Moved>() {
+    for gone_ms in [0, 100, 600] {
+        for pressed_ms in [0, 30, 60, 90, 120] {
+            let bus = loaded::<B>(8, false);
+            let (mut firmware, _) = before_shutdown(&bus);
+            lets_go(&mut firmware, &bus.drives[7], true, gone_ms);
+            firmware.run_for(millis(pressed_ms));
+            firmware.press(millis(50));
+            firmware.run_for(millis(1_500));
+            let told = &firmware.panel.reports;
+            let is_started = told.contains(&Report::State(StateName::Preparing));
+            assert!(!is_started, "{gone_ms} {pressed_ms} ms: {told:?}");
+            firmware.press(millis(50));
+            firmware.run_until(Report::State(StateName::Running), millis(3_000));
+        }
     }
 }
 
