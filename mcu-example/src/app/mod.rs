@@ -56,9 +56,9 @@ pub struct App<const N: usize> {
     /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
     /// since.
     unseen: MotorSet,
-    /// Motors that may have let go since the last shutdown, so that their brakes may have to hold, and missed ones.
+    /// Motors that may have let go, so that their brakes may have to hold, and missed ones. Until they turn.
     watched: MotorSet,
-    /// Motors that did not answer while their shafts were checked, since they last ran or the last shutdown.
+    /// Motors that did not answer while their shafts were checked since the last shutdown began.
     missed: MotorSet,
     /// From when on a check shows whether the shafts of unseen motors stand.
     shows_at: Instant,
@@ -179,7 +179,6 @@ impl<const N: usize> App<N> {
             (State::Stopped { .. }, Press::Long { .. }) => {
                 self.failed = MotorSet::EMPTY;
                 self.unseen = MotorSet::EMPTY;
-                self.watched = MotorSet::EMPTY;
                 self.missed = MotorSet::EMPTY;
                 let script = Script::shut_down(self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
@@ -261,7 +260,6 @@ impl<const N: usize> App<N> {
                         }
                         // All motors hold, and their brakes are open.
                         self.unseen = MotorSet::EMPTY;
-                        self.missed = MotorSet::EMPTY;
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);

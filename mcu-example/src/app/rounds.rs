@@ -92,8 +92,6 @@ impl Rounds {
         match answer {
             // A stop has dropped the question.
             Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
-            // A motor may never say this. If it is gone, the other questions show it.
-            Answer::None if question == Question::Stands => {}
             // It has answered nothing since the last one that it did not answer.
             Answer::None if self.doubted.contains(motor) => self.has_let_go(motor),
             Answer::None => self.doubt(motor.into()),

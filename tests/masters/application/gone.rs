@@ -1,6 +1,7 @@
 //! Motors that let go, or do not answer everything, while all are stopped.
 
 use myactuator_mcu_example::{Report, StateName, Trouble, cycle};
+use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet};
 use myactuator_protocol_core::time::Instant;
@@ -15,6 +16,8 @@ on_both_buses! {
     a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
     a_motor_that_never_answers_one_question_leaves_the_button_alive
     a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive
+    a_motor_that_missed_both_checks_is_watched
+    a_motor_that_turns_with_an_error_is_told_to_hold_once
     a_press_while_a_motor_lets_go_starts_nothing
     brakes_that_slip_at_the_same_time_are_all_seen
 }
@@ -70,16 +73,20 @@ fn count(told: &[Report], wanted: Report) -> usize {
 fn a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, _) = before_shutdown(&bus);
-    shut_down(&mut firmware);
-    firmware.run_for(millis(25));
-    break_off(&mut firmware);
-    let told = run_mute(&mut firmware, 0x9C, false, 1_500);
-    let end = [Report::Stopped { unconfirmed: MotorSet::EMPTY }, Report::State(StateName::Stopped)];
-    assert!(told.ends_with(&end), "{told:?}");
-    let silent = Report::Trouble(Trouble::Silent { motor: id(3) });
-    assert_eq!(count(&told, Report::State(StateName::Looking)), 2, "{told:?}");
-    assert_eq!(count(&told, silent), 1, "{told:?}");
-    assert_eq!(run_mute(&mut firmware, 0x9C, false, 3_000), told);
+    // In each shutdown.
+    for _ in 0..2 {
+        firmware.forget();
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        break_off(&mut firmware);
+        let told = run_mute(&mut firmware, 0x9C, false, 1_500);
+        let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
+        assert!(told.ends_with(&[stopped, Report::State(StateName::Stopped)]), "{told:?}");
+        let silent = Report::Trouble(Trouble::Silent { motor: id(3) });
+        assert_eq!(count(&told, Report::State(StateName::Looking)), 2, "{told:?}");
+        assert_eq!(count(&told, silent), 1, "{told:?}");
+        assert_eq!(run_mute(&mut firmware, 0x9C, false, 3_000), told);
+    }
     run_mute(&mut firmware, 0x9C, true, 50);
     let told = run_mute(&mut firmware, 0x9C, false, 2_000);
     assert!(told.contains(&Report::State(StateName::Running)), "{told:?}");
@@ -118,19 +125,53 @@ fn a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive<B: Move
     }
 }
 
+/// Its answers were only lost. Its brake has locked, and slips later.
+fn a_motor_that_missed_both_checks_is_watched<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    break_off(&mut firmware);
+    run_mute(&mut firmware, 0x9C, false, 1_500);
+    firmware.forget();
+    bus.drives[2].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    firmware.run_for(millis(1_000));
+    assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(3) }]);
+    assert!(!is_off(&bus.drives[2]));
+    // As behind any brake that slips behind a motor that is watched.
+    assert!(fallen_deg(&bus, &before_deg)[2] < 36.0);
+    stays_held(&mut firmware, &bus);
+}
+
+/// It cannot hold, and its brake slips. While it is told to hold, the button does nothing.
+fn a_motor_that_turns_with_an_error_is_told_to_hold_once<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    lets_go(&mut firmware, &bus.drives[1], true, 0);
+    firmware.run_for(millis(1_000));
+    bus.drives[1].with(|drive| {
+        drive.raise_fault(ErrorFlags::STALL);
+        drive.plant_mut().force_brake(Some(true));
+    });
+    firmware.run_for(millis(2_000));
+    let told = &firmware.panel.reports;
+    assert_eq!(count(told, Report::Trouble(Trouble::Turns { motor: id(2) })), 1, "{told:?}");
+    assert_eq!(count(told, Report::State(StateName::Looking)), 1, "{told:?}");
+}
+
 /// A person who sees it fall presses to stop it, whatever the firmware knows by then.
 fn a_press_while_a_motor_lets_go_starts_nothing<B: Moved>() {
-    for gone_ms in [0, 100, 600] {
+    for (is_restart, gone_ms) in [(true, 0), (true, 100), (true, 600), (false, 600)] {
         for pressed_ms in [0, 30, 60, 90, 120] {
             let bus = loaded::<B>(8, false);
             let (mut firmware, _) = before_shutdown(&bus);
-            lets_go(&mut firmware, &bus.drives[7], true, gone_ms);
+            lets_go(&mut firmware, &bus.drives[7], is_restart, gone_ms);
             firmware.run_for(millis(pressed_ms));
             firmware.press(millis(50));
             firmware.run_for(millis(1_500));
             let told = &firmware.panel.reports;
             let is_started = told.contains(&Report::State(StateName::Preparing));
-            assert!(!is_started, "{gone_ms} {pressed_ms} ms: {told:?}");
+            assert!(!is_started, "{is_restart} {gone_ms} {pressed_ms} ms: {told:?}");
             firmware.press(millis(50));
             firmware.run_until(Report::State(StateName::Running), millis(3_000));
         }
