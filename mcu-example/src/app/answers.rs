@@ -12,6 +12,8 @@ use crate::report::{Report, Trouble};
 
 impl<const N: usize> App<N> {
     /// Takes the outcome of a request of the rounds or of the script.
+    // Rare beside feedback: its registers are not to be saved for each.
+    #[inline(never)]
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         self.locks.note(event);
         let answer = self.rounds.take(event).or_else(|| {

@@ -126,16 +126,10 @@ impl<const N: usize> App<N> {
             Event::Restarted { motor } => {
                 // Motors that are moved are stopped by this. Others get no set-points before they are found.
                 at.master.resume(motor);
-                self.rounds.has_let_go(motor);
-                if self.motor(motor).is_some() {
-                    self.trouble(Trouble::Restarted { motor }, at);
-                }
+                self.has_let_go(motor, Trouble::Restarted { motor }, at);
             }
             Event::LostMaster { motor } => {
-                self.rounds.has_let_go(motor);
-                if self.motor(motor).is_some() {
-                    self.trouble(Trouble::LostMaster { motor }, at);
-                }
+                self.has_let_go(motor, Trouble::LostMaster { motor }, at);
             }
             _ => self.handle_answer(event, at),
         }
@@ -163,6 +157,8 @@ impl<const N: usize> App<N> {
         }
     }
 
+    // Rare: its registers are not to be saved in every cycle.
+    #[inline(never)]
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
@@ -192,6 +188,8 @@ impl<const N: usize> App<N> {
         }
     }
 
+    // Inlined, it costs some 30 instructions in every cycle.
+    #[inline(never)]
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
         // Before anything else is asked.
         self.locks.ask(&self.setup, at.master);
@@ -216,6 +214,8 @@ impl<const N: usize> App<N> {
         }
     }
 
+    // Rare, as well.
+    #[inline(never)]
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let found = self.found();
         match &mut self.state {

@@ -74,6 +74,19 @@ impl<const N: usize> App<N> {
         }
     }
 
+    /// A motor has let go. That stops all motors if it was found.
+    pub(super) fn has_let_go(
+        &mut self,
+        motor: MotorId,
+        trouble: Trouble,
+        at: &mut Moment<'_, N, impl Board>,
+    ) {
+        self.rounds.has_let_go(motor);
+        if self.motor(motor).is_some() {
+            self.trouble(trouble, at);
+        }
+    }
+
     pub(super) fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
         let all = self.known();
         // Motors without a place in the master stay unconfirmed.
