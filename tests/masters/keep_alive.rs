@@ -7,13 +7,13 @@ use myactuator_host_std::sim::bus::trace::{self, Record};
 use myactuator_host_std::sim::plant::Load;
 use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet, MotorSetup};
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus1, Stop};
+use myactuator_protocol_core::command::{ReadStatus1, Stop};
 use myactuator_protocol_core::drive::{Event, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
+use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{happened, master, state};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{go_to, id, millis};
@@ -49,12 +49,15 @@ fn held<W: Wire>() -> (BusFleet<W>, W::Runner<8>) {
     let load = Load { torque_nm: 5.0, ..Load::NONE };
     let bus = W::drives(&Fleet::new(MOTORS).brakes(true).quirks(quirks).load(load)).unwrap();
     let mut runner = master(&bus);
+    // The first place is free: ids that come and go get it.
+    runner.ask(id(32), ReadStatus1).unwrap_err();
     for motor in others().chain([id(1)]) {
         assert_eq!(bring_up::protect(&mut runner, motor, LIMIT), Ok(Protection::Confirmed));
     }
     for motor in others() {
         assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
     }
+    assert!(runner.master().forget(id(32)));
     (bus, runner)
 }
 
@@ -96,12 +99,8 @@ fn one_gets_another_id<W: Wire>() {
 fn one_is_moved<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     assert_eq!(bring_up::release_brake(&mut runner, id(1)), Ok(()));
-    let to = AbsolutePosition {
-        max_speed: MaxSpeed::from_dps(90.0).unwrap(),
-        angle: Angle::from_degrees(30.0).unwrap(),
-    };
     let go_on = |_: &_| ControlFlow::Continue(());
-    bring_up::move_to(&mut runner, id(1), to, &Default::default(), go_on).unwrap();
+    bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), go_on).unwrap();
     check_others_hold(&bus);
 }
 
@@ -109,6 +108,9 @@ fn all_ids_are_looked_for<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     let expected = others().chain([id(1)]).collect();
     assert_eq!(bring_up::scan(&mut runner, MotorSet::ALL, |_, _| {}), Ok(expected));
+    check_others_hold(&bus);
+    let nobody = MotorSet::ALL.without(expected);
+    assert_eq!(bring_up::scan(&mut runner, nobody, |_, _| {}), Ok(MotorSet::EMPTY));
     check_others_hold(&bus);
     // None is left with a question under way.
     for motor in others() {
@@ -148,14 +150,14 @@ fn two_of_them_are_dead<W: Wire>() {
 #[test]
 fn all_of_a_can_bus_hold_behind_an_adapter_that_delivers_in_bursts() {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
-    let fleet = Fleet::new(MOTORS).brakes(true).quirks(quirks);
+    let fleet = Fleet::new(8).brakes(true).quirks(quirks);
     let bus = fleet.on_can(1_000_000).unwrap();
     let (mut runner, station) = CanBus::runner::<8>(&bus.world, CanBus::CONFIG);
     bus.world.hand_over_every(station, millis(16));
-    for motor in (1..=MOTORS).map(id) {
+    for motor in MotorId::all().take(8) {
         assert_eq!(bring_up::protect(&mut runner, motor, LIMIT), Ok(Protection::Confirmed));
     }
-    for motor in others() {
+    for motor in MotorId::all().take(8).skip(1) {
         assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
     }
     bus.drives.iter().for_each(|drive| drop(happened(drive)));
@@ -269,8 +271,13 @@ fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
     let go_on = |_: &_| ControlFlow::Continue(());
     bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), go_on).unwrap();
     check_others_hold(&bus);
+    for dead in &bus.drives[6..] {
+        bus.world.cut(dead.station());
+    }
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
-    check_others_hold(&bus);
+    for drive in &bus.drives[1..6] {
+        assert!(!happened(drive).contains(&Event::ProtectionTripped), "{}", drive.motor());
+    }
 }
 
 /// Each question to the two is unanswered, and waited for.

@@ -152,8 +152,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77, 2.19.1).
 ///
 /// The motor holds its shaft from the beginning (0x81), so that no load falls. That also stops a motor that moves,
-/// whoever moves it. If the load has begun to turn the shaft, this waits up to half a second until it is at rest. To let
-/// the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
+/// whoever moves it. If the load has begun to turn the shaft, this waits up to half a second until it is at rest. To
+/// let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
 /// Speed and position commands open a brake on their own, and hold.
 ///
@@ -237,8 +237,9 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 /// - The functions here that wait speak to each motor every 20 ms, or as often as the bus carries: on RS485 to one
 ///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. A motor that is silent is
 ///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
-///   [`is_shared`] and [`change_id`] wait 100 ms for an answer, and on RS485 speak to no other motor meanwhile: there
-///   200 ms are enough. A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
+///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
+/// - On RS485 the others wait longer in two cases: for 100 ms if [`is_shared`] or [`change_id`] has no answer, and for
+///   15 time-outs if a motor does not confirm the stop of a [move](move_to) that has failed.
 ///
 /// # Errors
 /// [`CallError`].

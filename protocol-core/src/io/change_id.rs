@@ -123,8 +123,8 @@ async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
     let hear = |event| {
         is_taken |= matches!(event, Event::BroadcastReply { reply: AnyReply::BusId(_), .. });
     };
-    let all = KeepAlive::new(runner, MotorSet::ALL);
-    all.during(async |bus| bus.run_until(end, hear).await).await?;
+    // It is alone: nobody else is to be asked meanwhile.
+    runner.run_until(end, hear).await?;
     Ok(is_taken || is_there(runner, to).await?)
 }
 

@@ -403,6 +403,19 @@ fn a_motor_that_never_rests_is_waited_for_no_longer_than_half_a_second() {
     assert!((500..600).contains(&took.as_millis()), "{took}");
 }
 
+/// A single look finds it swinging.
+#[test]
+fn a_motor_that_runs_nothing_and_stands_has_not_let_go() {
+    let mut looks = 0;
+    let (_, mut arm) = resting(|data| {
+        if data[0] == 0x9C {
+            data[4] = if looks == 0 { 90 } else { 0 };
+            looks += 1;
+        }
+    });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Ok(()));
+}
+
 /// At its second look it still runs.
 #[test]
 fn a_motor_that_lets_go_while_its_load_comes_to_rest_is_told() {
