@@ -164,7 +164,7 @@ impl<const N: usize> Master<N> {
             self.let_line_answer();
             // A stop to all is also for this motor, and must not be left out because it was called before.
             self.stop_to_all_was = None;
-            self.change_at(place, |motor, _| *motor = motor.forgotten());
+            self.change_at(place, |motor, _| *motor = Motor::default());
             self.places.clear(place, motor);
         }
         is_idle

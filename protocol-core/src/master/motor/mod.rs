@@ -128,12 +128,6 @@ pub(super) struct Motor {
 }
 
 impl Motor {
-    /// What is left of it in its place: how many turns that had. Ids that come and go, as in a scan, do not keep off the
-    /// bus those that stay.
-    pub(super) fn forgotten(&self) -> Self {
-        Self { round: self.round, ..Self::default() }
-    }
-
     pub(super) fn is_in_flight(&self) -> bool {
         self.stream.in_flight.is_some() || self.request.in_flight().is_some()
     }
