@@ -5,7 +5,7 @@ use std::thread;
 
 use myactuator_tests::emulator::drives::Adapter;
 
-use super::running::{PATIENCE, Program, WATCHED, go, millis, on, stopped_behind, stops_for};
+use super::running::{BACK, PATIENCE, Program, WATCHED, go, millis, on, stopped_behind, stops_for};
 
 on! {
     every program:
@@ -28,7 +28,7 @@ fn a_stop_that_no_drive_heard_is_not_confirmed(program: Program) {
     firmware.wait_for("Stopped { unconfirmed: [1 2 3 4] }", PATIENCE);
     thread::sleep(millis(500));
     firmware.drives().mend(firmware.drives().handles());
-    firmware.check_stays_stopped(WATCHED);
+    firmware.check_stays_stopped(BACK + WATCHED);
     // By their own protection, which the application has told them.
     firmware.check_still(cut, millis(700));
     go(&mut firmware);

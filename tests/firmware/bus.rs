@@ -9,7 +9,7 @@ use myactuator_tests::emulator::log::Second;
 use myactuator_tests::emulator::truth::Look;
 
 use super::running::{
-    PATIENCE, Program, UNDER_WAY_DPS, WATCHED, go, millis, moving, on, stops_for,
+    BACK, PATIENCE, Program, UNDER_WAY_DPS, WATCHED, go, millis, moving, on, stops_for,
 };
 
 on! {
@@ -90,7 +90,7 @@ fn a_bus_that_is_cut_for_a_second_stops_all_until_the_button(program: Program) {
     thread::sleep(millis(1_000));
     firmware.drives().mend(firmware.drives().handles());
     firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
+    firmware.check_stays_stopped(BACK + WATCHED);
     firmware.check_still(cut, PROTECTION_STOPS);
     go(&mut firmware);
 }

@@ -8,7 +8,7 @@ use myactuator_protocol_core::command::{ErrorFlags, VersionDate};
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::truth::Look;
 
-use super::running::{PATIENCE, Program, WATCHED, go, moving, on, stopped, stops_for};
+use super::running::{BACK, PATIENCE, Program, WATCHED, go, moving, on, stopped, stops_for};
 
 on! {
     two programs:
@@ -42,7 +42,7 @@ fn one_that_is_unplugged_stops_all(firmware: &mut Firmware) {
     thread::sleep(PROTECTION_STOPS);
     assert!(!Look::at(&motor_3).is_output_on, "it goes on without a master");
     firmware.drives().mend(std::slice::from_ref(&motor_3));
-    firmware.check_stays_stopped(WATCHED);
+    firmware.check_stays_stopped(BACK + WATCHED);
     let mut moved_for = firmware.truth.moved_for(unplugged);
     let alone = moved_for.remove(2);
     let silence_stops = firmware.with_stalls(SILENCE_STOPS);
@@ -62,7 +62,7 @@ fn one_that_restarts_stops_all(firmware: &mut Firmware) {
     let is_known = told.text.contains("Restarted") || told.text.contains("Silent");
     assert!(is_known && told.number("motor") == Some(2.0), "{told}");
     firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
+    firmware.check_stays_stopped(BACK + WATCHED);
     firmware.check_still(restarted, SILENCE_STOPS);
     go(firmware);
 }

@@ -18,6 +18,10 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 /// How long it is watched that nothing starts by itself: for longer than the firmware, which was stopped by something else,
 /// takes no press of its button, a second since then. Whatever comes late makes it longer.
 pub(crate) const WATCHED: Duration = Duration::from_millis(1_200);
+/// How long motors that were not heard need until they are told to hold again, from which time on the firmware takes no
+/// press for a second: on RS485 four silent motors get one more stop only every 400 ms, and each then answers two
+/// questions of a round of 40 ms.
+pub(crate) const BACK: Duration = Duration::from_millis(700);
 /// At this speed, degrees a second, a movement is well under way: at its fastest it has 30.
 pub(crate) const UNDER_WAY_DPS: f32 = 15.0;
 
