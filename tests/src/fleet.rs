@@ -1,6 +1,7 @@
 //! Simulated drives on either bus, so that one test covers both.
 
 use myactuator_host_std::sim::{BusFleet, DriveHandle};
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::drive::{Event, State};
 
 use crate::wire::Wire;
@@ -36,4 +37,10 @@ pub fn turn_to(drive: &DriveHandle, degrees: f64) {
 /// The drive's events since the last call.
 pub fn happened(drive: &DriveHandle) -> Vec<Event> {
     drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
+}
+
+/// The motors that have cut their outputs since the last call because they heard nothing for too long.
+pub fn lost_their_master(drives: &[DriveHandle]) -> Vec<MotorId> {
+    let lost = |drive: &&DriveHandle| happened(drive).contains(&Event::ProtectionTripped);
+    drives.iter().filter(lost).map(DriveHandle::motor).collect()
 }

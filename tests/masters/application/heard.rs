@@ -1,14 +1,13 @@
 //! Which motors must be heard, which must hear enough commands, and what is reported of the others.
 
-use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
+use myactuator_host_std::sim::Fleet;
 use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
-use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::fleet::{happened, state};
+use myactuator_tests::fleet::{lost_their_master, state};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
@@ -39,11 +38,6 @@ fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(1) }), millis(200));
 }
 
-fn lost_their_master<B: Moved>(bus: &BusFleet<B>) -> Vec<MotorId> {
-    let lost = |drive: &&DriveHandle| happened(drive).contains(&Event::ProtectionTripped);
-    bus.drives.iter().filter(lost).map(DriveHandle::motor).collect()
-}
-
 /// Each motor accepts its protection only at the third attempt, 100 ms after the first.
 fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let bus = B::drives(&Fleet::new(8)).unwrap();
@@ -70,10 +64,10 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let taken = firmware.runner.now() - began;
     assert!(taken > millis(700), "{taken}");
     firmware.run_until(Report::State(StateName::Running), millis(1_000));
-    assert_eq!(lost_their_master(&bus), []);
+    assert_eq!(lost_their_master(&bus.drives), []);
     firmware.run_for(millis(500));
     assert!(bus.drives.iter().all(|drive| state(drive).output_on));
-    assert_eq!(lost_their_master(&bus), []);
+    assert_eq!(lost_their_master(&bus.drives), []);
 }
 
 /// The motors hold with their protection on, while a restarted firmware searches for 32 motors.
@@ -83,10 +77,10 @@ fn motors_hear_enough_while_others_are_looked_for<B: Moved>() {
     let setup = Setup { search: MotorSet::ALL, ..B::setup() };
     let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
     firmware.run_for(millis(3_000));
-    assert_eq!(lost_their_master(&bus), []);
+    assert_eq!(lost_their_master(&bus.drives), []);
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(6_000));
-    assert_eq!(lost_their_master(&bus), []);
+    assert_eq!(lost_their_master(&bus.drives), []);
 }
 
 fn a_motor_that_ran_and_is_missing_keeps_the_others_from_starting<B: Moved>() {
@@ -200,7 +194,7 @@ fn motors_hear_enough_beside_stops_to_nobody<B: Moved>() {
     let mut firmware = Firmware::start(&bus, Panel::default());
     for tenth in 0..50 {
         firmware.run_for(millis(100));
-        assert_eq!(lost_their_master(&bus), [], "after {tenth} tenths of a second");
+        assert_eq!(lost_their_master(&bus.drives), [], "after {tenth} tenths of a second");
     }
 }
 
@@ -211,10 +205,10 @@ fn a_motor_that_stops_late_is_kept_holding<B: Moved>() {
     firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(1_500));
     bus.world.mend(bus.drives[1].station());
     firmware.run_for(millis(1_000));
-    lost_their_master(&bus);
+    lost_their_master(&bus.drives);
     let asked = firmware.runner.master().health(id(2)).answered;
     firmware.run_for(millis(3_000));
-    assert_eq!(lost_their_master(&bus), []);
+    assert_eq!(lost_their_master(&bus.drives), []);
     let asked = firmware.runner.master().health(id(2)).answered - asked;
     assert!(asked > 100, "it is stopped again and again, and asked nothing: {asked}");
     assert!(bus.drives.iter().all(|drive| !state(drive).communication_lost));
