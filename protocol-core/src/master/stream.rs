@@ -21,14 +21,24 @@ pub(super) struct SetPoint {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Stream {
     /// Waits to be sent.
-    pub(super) waiting: Option<SetPoint>,
+    waiting: Option<SetPoint>,
     /// Sent, and waits for its feedback.
-    pub(super) in_flight: Option<SetPoint>,
+    in_flight: Option<SetPoint>,
     /// When the waiting set-point is too old; without one, when the one in flight would be.
     expiry: Instant,
 }
 
 impl Stream {
+    /// The set-point that is to be sent.
+    pub(super) fn waiting(&self) -> Option<&SetPoint> {
+        self.waiting.as_ref()
+    }
+
+    /// The set-point that waits for its feedback.
+    pub(super) fn in_flight(&self) -> Option<&SetPoint> {
+        self.in_flight.as_ref()
+    }
+
     pub(super) fn is_none(&self) -> bool {
         self.waiting.is_none() && self.in_flight.is_none()
     }
@@ -41,6 +51,31 @@ impl Stream {
     pub(super) fn put(&mut self, set_point: SetPoint, expiry: Instant) -> Option<SetPoint> {
         self.expiry = expiry;
         self.waiting.replace(set_point)
+    }
+
+    /// The waiting set-point is not to be sent any more.
+    pub(super) fn drop_waiting(&mut self) -> Option<SetPoint> {
+        self.waiting.take()
+    }
+
+    /// The waiting set-point was sent.
+    pub(super) fn was_sent(&mut self) {
+        self.in_flight = self.waiting.take();
+    }
+
+    /// The wait for its feedback is over.
+    pub(super) fn take_in_flight(&mut self) -> Option<SetPoint> {
+        self.in_flight.take()
+    }
+
+    /// The one in flight was not sent after all: it waits again, unless a newer one does. Returns whether it waits.
+    pub(super) fn was_pushed_out(&mut self) -> bool {
+        let pushed_out = self.in_flight.take();
+        let is_newest = self.waiting.is_none();
+        if is_newest {
+            self.waiting = pushed_out;
+        }
+        is_newest
     }
 
     /// Whether feedback of this stream may come that looks like a reply to this question.
@@ -101,7 +136,7 @@ impl<const N: usize> Master<N> {
     pub(crate) fn withdraw_set_point(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| {
             motor.drop_waiting_set_point();
-            if motor.stream.in_flight.is_some() {
+            if motor.stream.in_flight().is_some() {
                 motor.last_sent.insert(LastSent::IS_OLD);
             }
         });

@@ -19,7 +19,7 @@ impl Motor {
 
     /// When what is in flight counts as lost.
     fn deadline(&self, config: &Config) -> Option<Instant> {
-        let timeout = match (self.request.in_flight(), &self.stream.in_flight) {
+        let timeout = match (self.request.in_flight(), self.stream.in_flight()) {
             (Some(asked), _) => asked.timeout,
             (None, Some(_)) => self.set_point_timeout(config),
             (None, None) => return None,
@@ -70,7 +70,7 @@ impl Motor {
             return;
         }
         self.note_miss(config, now);
-        if let Some(set_point) = self.stream.in_flight.take() {
+        if let Some(set_point) = self.stream.take_in_flight() {
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::Stream, 1, until, config);
             self.news.insert(News::UNANSWERED);
@@ -105,7 +105,7 @@ impl Motor {
         if self.is_waiting() && self.settled_at > Instant::ZERO {
             earliest.take(self.settled_at);
         }
-        if self.stream.waiting.is_some() && !self.late.has_room() {
+        if self.stream.waiting().is_some() && !self.late.has_room() {
             earliest.take(self.late.next_end());
         }
         if let Some(asked) = self.request.waiting() {

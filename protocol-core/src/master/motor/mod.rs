@@ -129,11 +129,11 @@ pub(super) struct Motor {
 
 impl Motor {
     pub(super) fn is_in_flight(&self) -> bool {
-        self.stream.in_flight.is_some() || self.request.in_flight().is_some()
+        self.stream.in_flight().is_some() || self.request.in_flight().is_some()
     }
 
     pub(super) fn is_waiting(&self) -> bool {
-        self.stream.waiting.is_some() || self.request.waiting().is_some()
+        self.stream.waiting().is_some() || self.request.waiting().is_some()
     }
 
     pub(super) fn is_stop_waiting(&self) -> bool {
@@ -176,7 +176,7 @@ impl Motor {
 
     #[inline(never)]
     pub(super) fn drop_waiting_set_point(&mut self) {
-        if self.stream.waiting.take().is_some() {
+        if self.stream.drop_waiting().is_some() {
             self.is_newest_dropped = true;
             self.news.insert(News::DROPPED);
             self.health.superseded = self.health.superseded.saturating_add(1);
@@ -287,7 +287,7 @@ impl Motor {
     /// is sent.
     #[inline]
     pub(super) fn may_send_set_point(&self) -> bool {
-        self.stream.waiting.is_some() && self.late.has_room() && !self.waits_to_end_motion()
+        self.stream.waiting().is_some() && self.late.has_room() && !self.waits_to_end_motion()
     }
 
     #[inline]
@@ -301,7 +301,7 @@ impl Motor {
     }
 
     pub(super) fn set_point_packet(&self) -> Option<Packet> {
-        let set_point = self.stream.waiting.as_ref()?;
+        let set_point = self.stream.waiting()?;
         self.packet(set_point.question, set_point.data)
     }
 
@@ -351,7 +351,7 @@ impl Motor {
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
-        self.stream.in_flight = self.stream.waiting.take();
+        self.stream.was_sent();
         self.told = Told::Nothing;
     }
 

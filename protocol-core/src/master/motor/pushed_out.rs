@@ -29,12 +29,7 @@ impl Motor {
         };
         if let Some(asked) = asked.filter(|asked| is_this(asked.kind(), &asked.data)) {
             self.request_was_pushed_out(asked);
-        } else if self
-            .stream
-            .in_flight
-            .as_ref()
-            .is_some_and(|it| is_this(it.question.kind, &it.data))
-        {
+        } else if self.stream.in_flight().is_some_and(|it| is_this(it.question.kind, &it.data)) {
             self.set_point_was_pushed_out();
         } else {
             self.given_up_was_pushed_out(packet);
@@ -71,14 +66,10 @@ impl Motor {
         self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
         // Nor was it the set-point's turn.
         self.last_sent.remove(LastSent::REQUESTS_TURN);
-        let set_point = self.stream.in_flight.take();
-        if self.stream.waiting.is_some() {
-            // By a newer one.
+        let is_newest = self.stream.was_pushed_out();
+        if !is_newest {
             self.health.superseded = self.health.superseded.saturating_add(1);
-            return;
-        }
-        self.stream.waiting = set_point;
-        if self.last_sent.contains(LastSent::IS_OLD)
+        } else if self.last_sent.contains(LastSent::IS_OLD)
             || self.request.under_way().is_some_and(Asked::ends_motion)
         {
             // It is stale: what ends motion was requested since, a restart was noticed, or its caller has left.

@@ -79,8 +79,7 @@ impl Motor {
         };
         let is_in_time = now - self.sent >= shortest;
         let answers = |question: Question| is_in_time && is_same(question);
-        let in_flight = self.stream.in_flight.as_ref();
-        if let Some(&set_point) = in_flight.filter(|sent| answers(sent.question)) {
+        if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
             return self.take_feedback(&set_point, heard, config);
         }
@@ -194,7 +193,7 @@ impl Motor {
         }
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
-        self.stream.in_flight = None;
+        self.stream.take_in_flight();
         let is_of_before = self.was_told_before_it_lost_master();
         if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
             return Meaning::SetPointIgnored;

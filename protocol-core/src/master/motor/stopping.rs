@@ -210,7 +210,7 @@ impl Motor {
 
     /// A stop takes the place of the set-point in flight, which may still arrive, and be answered until then.
     pub(super) fn stop_set_point(&mut self, until: Instant, config: &Config) {
-        if let Some(set_point) = self.stream.in_flight.take() {
+        if let Some(set_point) = self.stream.take_in_flight() {
             self.expect_late(set_point.question, Of::StreamStopped, 1, until, config);
         }
     }
