@@ -42,10 +42,10 @@ pub(super) struct Broadcast {
     lost: MotorSet,
     /// The motors that were stopped since it was put, to be held and to be off. If it ends motion it must not undo
     /// that, however late a controller hands it back.
-    pub(super) held: MotorSet,
-    pub(super) off: MotorSet,
+    held: MotorSet,
+    off: MotorSet,
     /// The last one that was sent: when, its command byte, and which motors may still answer it, expected or not.
-    pub(super) sent: Instant,
+    sent: Instant,
     sent_byte: u8,
     may_answer: MotorSet,
     /// What the last one may still do; and what those sent before it, and stops to all, may still do.
@@ -202,6 +202,11 @@ impl Broadcast {
         }
     }
 
+    /// The motors that were stopped since the last broadcast was put: to be held, and to be off.
+    pub(super) fn stopped_since(&self) -> (MotorSet, MotorSet) {
+        (self.held, self.off)
+    }
+
     pub(super) fn packet(&self) -> Option<Packet> {
         let channel = self.kind?.channel_to(Target::All).ok()?;
         Some(Packet { channel, data: self.data })
@@ -310,6 +315,11 @@ impl Broadcast {
             }
         }
         (is_owed || answers).then_some(answers)
+    }
+
+    /// When it was sent; while it waits, when the one before it was sent.
+    pub(super) fn sent_at(&self) -> Instant {
+        self.sent
     }
 
     pub(super) fn in_flight_since(&self) -> Option<Instant> {

@@ -74,4 +74,9 @@ impl OnItsWay {
             *self = Self::No;
         }
     }
+
+    /// The drive has answered what ends its motion: nothing from before arrives any more.
+    pub(super) fn finish(&mut self) {
+        *self = Self::No;
+    }
 }

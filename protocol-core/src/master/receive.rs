@@ -51,7 +51,7 @@ impl<const N: usize> Master<N> {
     /// When something was last heard on the bus, minus the time by which the late window has grown: what was sent may
     /// have been given less time.
     pub(super) fn heard_at_least(&self) -> Instant {
-        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more);
+        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
         Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
     }
 
@@ -165,7 +165,7 @@ impl<const N: usize> Master<N> {
         let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
         let Some(is_answer) = taken else { return false };
         // A broadcast that was answered has left its mailbox, also on a bus that is never quiet.
-        if is_answer && self.for_all.may_lie() && self.broadcast.sent == self.told_all_at() {
+        if is_answer && self.for_all.may_lie() && self.broadcast.sent_at() == self.told_all_at() {
             self.for_all = ForAll::Gone;
         }
         // Also for a broadcast that is over: the same reply, doubled, answers nothing else.

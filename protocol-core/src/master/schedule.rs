@@ -300,7 +300,7 @@ impl<const N: usize> Master<N> {
 
     /// When the last command to all was sent, a broadcast or a stop.
     pub(super) fn told_all_at(&self) -> Instant {
-        self.broadcast.sent.max(self.stop_to_all_sent)
+        self.broadcast.sent_at().max(self.stop_to_all_sent)
     }
 
     /// When the first reply in flight is due on a quiet bus. Not used on RS485, where only one motor is asked at a

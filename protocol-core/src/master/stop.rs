@@ -302,7 +302,7 @@ impl<const N: usize> Master<N> {
     /// motor, each of the others that have a place gets it individually, and no motor is restarted.
     pub(super) fn end_motion_of_all(&mut self) {
         let (Some(kind), data) = self.broadcast.command() else { return };
-        let (held, off) = (self.broadcast.held, self.broadcast.off);
+        let (held, off) = self.broadcast.stopped_since();
         let undone = match kind.opcode() {
             _ if !kind.ends_motion() => return,
             Some(Opcode::Shutdown) => held,

@@ -69,7 +69,7 @@ impl Motor {
         let (of, question) = self.late.take(reply, may_be_doubled)?;
         self.last_answered = Some(question);
         if !self.late.may_move() && !self.is_beyond_late {
-            self.on_its_way = OnItsWay::No;
+            self.on_its_way.finish();
         }
         Some(of)
     }

@@ -4,7 +4,6 @@
 use crate::command::{AnyReply, RunTime};
 use crate::master::config::Config;
 use crate::master::event::{Failure, feedback_of};
-use crate::master::motor::stopping::LastStop;
 use crate::master::motor::{LastSent, Motor, News};
 use crate::time::{Duration, Instant};
 
@@ -145,10 +144,7 @@ impl Motor {
         // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
-        if let LastStop::Confirmed(_) = self.last_stop {
-            // It is no longer held.
-            self.last_stop = LastStop::None;
-        }
+        self.last_stop.end_by_restart();
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }

@@ -22,7 +22,6 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{Motor, News};
-use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::{STOP_ATTEMPTS, StopKind};
 use crate::opcode::Opcode;
@@ -61,6 +60,13 @@ pub(crate) enum LastStop {
 }
 
 impl LastStop {
+    /// The motor has restarted: it is no longer held.
+    pub(super) fn end_by_restart(&mut self) {
+        if let Self::Confirmed(_) = self {
+            *self = Self::None;
+        }
+    }
+
     fn is_like(self, stop: &Asked) -> bool {
         match self {
             Self::None => false,
@@ -180,7 +186,7 @@ impl Motor {
 
     /// It has answered this, which ends its motion.
     pub(crate) fn note_motion_ended(&mut self, by: Kind) {
-        self.on_its_way = OnItsWay::No;
+        self.on_its_way.finish();
         // A drive without a brake also acknowledges its lock, and turns on.
         if let Some(stop) = StopKind::by(by) {
             self.last_stop = LastStop::Confirmed(stop);
