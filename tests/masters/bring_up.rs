@@ -47,6 +47,7 @@ on_both_buses! {
     a_brake_opens_though_its_drive_had_lost_its_master
     no_brake_is_opened_if_its_motor_cannot_hold
     a_load_stays_where_it_is
+    a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake
     what_a_brake_does_not_hold_its_motor_holds_again
     a_slipping_brake_that_may_not_be_opened_is_reported
     a_brake_that_slips_only_when_the_motor_is_off_is_reported
@@ -426,6 +427,19 @@ fn lifting<W: Wire>() -> BusFleet<W> {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let load = Load { torque_nm: 5.0, ..Load::NONE };
     W::drives(&Fleet::new(1).brakes(true).quirks(quirks).load(load)).unwrap()
+}
+
+/// The motor draws all the current that it may, and its load pulls it away all the same.
+fn a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake<W: Wire>() {
+    let load = Load { torque_nm: 60.0, ..Load::NONE };
+    let bus = W::drives(&Fleet::new(1).brakes(true).load(load)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    let told = bring_up::release_brake(runner, id(1));
+    assert!(matches!(told, Err(BringUpError::NotHeld { .. })), "{told:?}");
+    listen(runner, bring_up::BRAKE_MOVES);
+    let caught_deg = state(drive).angle_deg;
+    listen(runner, millis(500));
+    assert!((state(drive).angle_deg - caught_deg).abs() < 0.1, "{told:?}");
 }
 
 fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {

@@ -12,6 +12,7 @@ use crate::io::outcome::BringUpError;
 use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
 use crate::time::Duration;
+use crate::units::CoarseSpeed;
 
 /// How long a brake takes to open or to lock at most. To open, 50 to 150 ms were seen.
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
@@ -60,32 +61,34 @@ async fn open<B: Calls<N>, const N: usize>(
         status if status.brake != BrakeCommand::RELEASE => {
             return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
         }
-        // Somebody has switched it off since; or it draws nothing and does not say what it runs.
-        _ if falls(bus, motor).await? => BringUpError::LetGo(motor),
-        _ => return Ok(()),
+        _ => match falls(bus, motor).await? {
+            Some(speed) => BringUpError::NotHeld { motor, speed },
+            None => return Ok(()),
+        },
     };
     // Only the brake can hold the shaft now. The outcome of this changes nothing.
     let _ = bus.ask(motor, LockBrake).await;
     Err(fails)
 }
 
-/// Waits until the shaft is at rest. Returns whether it turns instead and the motor runs nothing that could hold it or,
-/// if it does not say, draws no current.
+/// Waits until the shaft is at rest. If the motor does not bring it to rest, returns how fast it turns: at two looks in
+/// a row, and the motor runs nothing that could hold it or, if it does not say, draws no current; or it had its time.
 async fn falls<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
-) -> Result<bool, CallError<B::Error>> {
+) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
     let end = bus.now() + COMES_TO_REST;
     let mut turned = false;
     loop {
         let Feedback { speed, current, .. } = look(bus, motor, ReadStatus2).await?;
         let turns = turns(speed);
-        if turned && turns && !runs(bus, motor).await.unwrap_or(current.raw() != 0) {
-            return Ok(true);
-        }
         let now = bus.now();
-        if speed.raw() == 0 || now >= end {
-            return Ok(false);
+        if turned && turns && (now >= end || !runs(bus, motor).await.unwrap_or(current.raw() != 0))
+        {
+            return Ok(Some(speed));
+        }
+        if speed.raw() == 0 || now >= end && !turns {
+            return Ok(None);
         }
         turned = turns;
         let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
@@ -264,7 +267,7 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
         Ok(()) => Some(true),
         Err(
             BringUpError::Fault { .. }
-            | BringUpError::LetGo(_)
+            | BringUpError::NotHeld { .. }
             | BringUpError::Call(CallError::Refused { .. }),
         ) => Some(false),
         Err(_) => None,

@@ -152,13 +152,13 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77, 2.19.1).
 ///
 /// The motor holds its shaft from the beginning (0x81), so that no load falls. That also stops a motor that moves,
-/// whoever moves it. If the load has begun to turn the shaft, this waits up to half a second until it is at rest. To
-/// let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
+/// whoever moves it. If the load has begun to turn the shaft, this waits until the motor has brought it to rest, and locks
+/// the brake again if that takes more than half a second. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
 /// Speed and position commands open a brake on their own, and hold.
 ///
 /// # Errors
-/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::LetGo`], [`BringUpError::Call`].
+/// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::NotHeld`], [`BringUpError::Call`].
 ///
 /// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails then, the brake
 /// may be open all the same. The motor is then [stopped](crate::master::Master::stop) until that is lifted.

@@ -102,13 +102,19 @@ pub enum BringUpError<E> {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The brake is open, the shaft turns, and the motor does not hold it: it runs nothing or, if it does not answer
-    /// that (0x70), draws no current. Something has switched it off since it was told to hold, or it did not obey. Its
-    /// brake is locked, or was told to lock.
+    /// The brake is open, and the motor does not hold its shaft, which turns. Either the motor runs nothing or, if it
+    /// does not answer that (0x70), draws no current: something has switched it off since it was told to hold, or it
+    /// did not obey. Or it runs, and has not brought the shaft to rest within half a second: the load may be too heavy.
+    /// The brake is locked, or was told to lock.
     #[error(
-        "motor {0} turns though it was told to hold while its brake opened: the brake is told to lock again"
+        "motor {motor} turns at {speed} though it was told to hold while its brake opened: the brake is told to lock again"
     )]
-    LetGo(MotorId),
+    NotHeld {
+        /// The motor.
+        motor: MotorId,
+        /// How fast it turned.
+        speed: CoarseSpeed,
+    },
     /// The shaft turns although its brake was told to lock and has had the time to, or after the motor was then
     /// switched off. Some brakes slip only then, and some motors have none. Nothing was written.
     ///

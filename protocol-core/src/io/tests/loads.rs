@@ -16,6 +16,7 @@ use crate::io::bring_up::{self, BRAKE_MOVES, BringUpError};
 use crate::io::{CanMaster, Clock, Runner};
 use crate::master::{MotorSet, StopKind};
 use crate::time::Instant;
+use crate::units::CoarseSpeed;
 use crate::wire::can::SimpleFrame;
 
 /// Another byte is heard in place of the answer: the question has none.
@@ -360,19 +361,37 @@ fn a_brake_that_slips_under_what_nobody_held_is_not_opened_again() {
     assert_eq!(told(&bus)[1..3], [0x80, 0x76]);
 }
 
-/// It is to hold when its brake opens, turns, and does not say what it runs: it may swing a little where it draws a current.
+/// It was told to hold while its brake opened, and its shaft turns on: its load is too heavy.
 #[test]
-fn who_turns_behind_an_open_brake_and_does_not_say_what_it_runs_is_let_go_where_it_draws_nothing() {
-    for draws in [false, true] {
+fn a_motor_that_does_not_bring_its_load_to_rest_within_half_a_second_has_its_brake_locked() {
+    for says_what in [false, true] {
         let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
-            0x70 => data[0] = NO_ANSWER,
-            0x9C if !is_locked => (data[2], data[4]) = (u8::from(draws), 90),
+            0x70 if !says_what => data[0] = NO_ANSWER,
+            0x9C if !is_locked => data[4] = 90,
             _ => {}
         });
-        let told_of = if draws { Ok(()) } else { Err(BringUpError::LetGo(id(1))) };
-        assert_eq!(bring_up::release_brake(&mut arm, id(1)), told_of);
-        assert_eq!(told(&bus), [0x77, 0x81, 0x78][..if draws { 2 } else { 3 }]);
+        let begun = arm.now();
+        let turns = Err(BringUpError::NotHeld { motor: id(1), speed: CoarseSpeed::from_raw(90) });
+        assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
+        let took = arm.now() - begun - BRAKE_MOVES;
+        assert!((500..600).contains(&took.as_millis()), "{took}");
+        assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
     }
+}
+
+/// It does not say what it runs, and may swing a little while it draws a current.
+#[test]
+fn a_motor_that_turns_behind_an_open_brake_and_draws_no_current_has_its_brake_locked_at_once() {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
+        0x70 => data[0] = NO_ANSWER,
+        0x9C if !is_locked => (data[2], data[3], data[4]) = (0, 0, 90),
+        _ => {}
+    });
+    let begun = arm.now();
+    let turns = Err(BringUpError::NotHeld { motor: id(1), speed: CoarseSpeed::from_raw(90) });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
+    assert!((arm.now() - begun - BRAKE_MOVES).as_millis() < 50);
+    assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
 }
 
 /// It brakes what began to fall while its brake opened.
@@ -428,7 +447,8 @@ fn a_motor_that_lets_go_while_its_load_comes_to_rest_is_told() {
         }
         _ => {}
     });
-    assert_eq!(bring_up::release_brake(&mut arm, id(1)), Err(BringUpError::LetGo(id(1))));
+    let turns = Err(BringUpError::NotHeld { motor: id(1), speed: CoarseSpeed::from_raw(90) });
+    assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
     assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
 }
 

@@ -195,12 +195,13 @@ fn a_brake_that_slips_is_opened_again_unless_its_drive_has_failed() {
 #[test]
 fn nothing_is_written_where_a_load_falls_behind_a_brake_that_was_opened_again() {
     for falls in [false, true] {
-        let mut was_locked = false;
+        let mut is_locked = false;
         let (bus, mut arm) = says(move |data| match data[0] {
             0x70 => data[7] = 2,
-            0x78 => was_locked = true,
+            0x77 => is_locked = false,
+            0x78 => is_locked = true,
             0x9A => data[3] = 1,
-            0x9C if was_locked && falls => data[4] = 90,
+            0x9C if is_locked && falls => data[4] = 90,
             _ => {}
         });
         let told = bring_up::zero_here(&mut arm, id(1));
@@ -213,7 +214,7 @@ fn nothing_is_written_where_a_load_falls_behind_a_brake_that_was_opened_again() 
 /// Another thread wants it off.
 #[test]
 fn who_was_switched_off_while_its_brake_opened_has_it_locked_again() {
-    for (mode, dps, is_let_go) in [(0, 90, true), (2, 90, false), (0, 0, false)] {
+    for (mode, dps, is_let_go) in [(0, 90, true), (2, 0, false), (0, 0, false)] {
         let (bus, mut arm) = says(move |data| match data[0] {
             0x70 => data[7] = mode,
             0x9A => data[3] = 1,
@@ -221,8 +222,11 @@ fn who_was_switched_off_while_its_brake_opened_has_it_locked_again() {
             _ => {}
         });
         let told = bring_up::release_brake(&mut arm, id(1));
-        let expected = if is_let_go { Err(BringUpError::LetGo(id(1))) } else { Ok(()) };
-        assert_eq!(told, expected);
+        let (motor, speed) = (id(1), CoarseSpeed::from_raw(dps.into()));
+        assert_eq!(
+            told,
+            if is_let_go { Err(BringUpError::NotHeld { motor, speed }) } else { Ok(()) }
+        );
         assert_eq!(bus.sent().iter().any(|data| data[0] == 0x78), is_let_go);
     }
 }
