@@ -210,22 +210,27 @@ fn a_motor_that_does_not_confirm_a_stop<W: Wire>() {
     assert_eq!(lost_their_master(&bus.drives[1..5]), []);
 }
 
-/// Eight loaded motors on a slow line. All hold.
-fn eight_on_a_slow_line() -> (LineFleet, impl Runner<8, Error: PartialEq>) {
-    let bus = loaded(8).on_rs485(115_200).unwrap();
+/// Loaded motors on a slow line. All hold.
+fn on_a_slow_line(motors: u8) -> (LineFleet, impl Runner<8, Error: PartialEq>) {
+    let bus = loaded(motors).on_rs485(115_200).unwrap();
     let mut runner = bus.master::<8>();
-    for motor in MotorId::all().take(8) {
+    for motor in MotorId::all().take(motors.into()) {
         assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
     }
     (bus, runner)
 }
 
-/// When motor 1 was sent this, or anything.
-fn times_sent(log: &[Record<Vec<u8>>], bus: &LineFleet, byte: Option<u8>) -> Vec<Instant> {
+/// When a motor was sent this, or anything.
+fn times_sent(
+    log: &[Record<Vec<u8>>],
+    bus: &LineFleet,
+    motor: MotorId,
+    byte: Option<u8>,
+) -> Vec<Instant> {
     let sent = log.iter().filter(|record| {
         let is_of_master = bus.drives.iter().all(|drive| drive.station() != record.station);
         matches!(&record.event, trace::Event::Carried { frame, .. }
-            if is_of_master && frame[1] == 1 && byte.is_none_or(|byte| frame[3] == byte))
+            if is_of_master && frame[1] == motor.get() && byte.is_none_or(|byte| frame[3] == byte))
     });
     sent.map(Record::at).collect()
 }
@@ -239,34 +244,35 @@ const SLOW_EXCHANGE: Duration = Duration::from_micros(2 * 1_129 + 900 + 100);
 
 #[test]
 fn a_falling_load_is_looked_at_first_however_many_motors_are_on_a_slow_line() {
-    let (bus, mut runner) = eight_on_a_slow_line();
+    let (bus, mut runner) = on_a_slow_line(8);
     bus.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
     let log = bus.world.log();
     let slips = bring_up::lock_brake(&mut runner, id(1));
     assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(true), .. })), "{slips:?}");
     let log = log.take();
-    let pause = longest_pause(&times_sent(&log, &bus, None));
+    let pause = longest_pause(&times_sent(&log, &bus, id(1), None));
     // It is spoken to every 10 ms. One more exchange may be under way before it is asked, and one behind its answer.
     assert!(pause <= millis(10) + SLOW_EXCHANGE.times(3), "{pause}");
     // The motor holds right after its brake was told to open.
-    let opened = times_sent(&log, &bus, Some(0x77))[0];
-    let held = times_sent(&log, &bus, Some(0x81)).into_iter().find(|at| *at > opened).unwrap();
+    let opened = times_sent(&log, &bus, id(1), Some(0x77))[0];
+    let held =
+        times_sent(&log, &bus, id(1), Some(0x81)).into_iter().find(|at| *at > opened).unwrap();
     assert!(held - opened <= SLOW_EXCHANGE.times(2), "{}", held - opened);
 }
 
 #[test]
 fn a_moving_motor_is_looked_at_as_often_however_many_motors_are_on_a_slow_line() {
-    let (bus, mut runner) = eight_on_a_slow_line();
+    let (bus, mut runner) = on_a_slow_line(8);
     let log = bus.world.log();
     let go_on = |_: &_| ControlFlow::Continue(());
     bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), go_on).unwrap();
-    let pause = longest_pause(&times_sent(&log.take(), &bus, Some(0x92)));
+    let pause = longest_pause(&times_sent(&log.take(), &bus, id(1), Some(0x92)));
     assert!(pause <= millis(20) + SLOW_EXCHANGE.times(2), "{pause}");
 }
 
 #[test]
 fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
-    let (bus, mut runner) = eight_on_a_slow_line();
+    let (bus, mut runner) = on_a_slow_line(8);
     for motor in MotorId::all().take(8) {
         assert_eq!(bring_up::protect(&mut runner, motor, LIMIT), Ok(Protection::Confirmed));
     }
@@ -279,6 +285,40 @@ fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
     }
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
     assert_eq!(lost_their_master(&bus.drives[1..6]), []);
+}
+
+/// It may answer again. But each question to it keeps the line busy for a time-out.
+#[test]
+fn silent_motor_is_asked_once_in_100_ms() {
+    let (bus, mut runner) = on_a_slow_line(7);
+    bus.world.cut(bus.drives[6].station());
+    runner.ask(id(7), ReadStatus1).unwrap_err();
+    let log = bus.world.log();
+    bring_up::wait_until_there(&mut runner, id(20), millis(1_000)).unwrap_err();
+    let times = times_sent(&log.take(), &bus, id(7), None);
+    let pauses = || times.windows(2).map(|pair| pair[1] - pair[0]);
+    assert!(pauses().min().unwrap() >= millis(100), "{times:?}");
+    assert!(pauses().max().unwrap() <= millis(130), "{times:?}");
+}
+
+/// Its stop is sent again and again meanwhile.
+#[test]
+fn motors_hold_while_a_move_of_one_that_died_ends_with_its_stop() {
+    let bus = slow_to_brake(4).on_can(1_000_000).unwrap();
+    let mut runner = bus.master::<8>();
+    let limit = Milliseconds::from_raw(30);
+    for motor in MotorId::all().take(4) {
+        assert_eq!(bring_up::release_brake(&mut runner, motor), Ok(()));
+    }
+    let dies = |_: &_| {
+        bus.world.cut(bus.drives[0].station());
+        ControlFlow::Continue(())
+    };
+    for motor in MotorId::all().take(4).skip(1) {
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    bring_up::move_to(&mut runner, id(1), go_to(30.0, 90), &Default::default(), dies).unwrap_err();
+    assert_eq!(lost_their_master(&bus.drives[1..]), []);
 }
 
 /// Each question to the two is unanswered, and waited for.

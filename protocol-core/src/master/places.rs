@@ -128,8 +128,8 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
     }
 
-    /// Of these motors, the one that was sent nothing for longest, and at least for `rest`, and has nothing under way.
-    /// One that is silent comes after the others, and rests for `silent_rest`.
+    /// Of these motors, the one that has been sent nothing for longest beyond `rest`, or `silent_rest` if it is silent,
+    /// and has nothing under way.
     pub(crate) fn longest_resting(
         &self,
         motors: MotorSet,
@@ -137,14 +137,15 @@ impl<const N: usize> Master<N> {
         rest: Duration,
         silent_rest: Duration,
     ) -> Option<MotorId> {
-        let is_silent = |motor: &Motor| motor.health().presence == Presence::Silent;
-        let rests = |motor: &Motor| {
-            let least = if is_silent(motor) { silent_rest } else { rest };
-            motor.request.is_none() && motor.is_idle(now) && now - motor.sent >= least
+        let rests_until = |motor: &Motor| {
+            let is_silent = motor.health().presence == Presence::Silent;
+            motor.sent + if is_silent { silent_rest } else { rest }
         };
         let all = motors.iter().filter_map(|id| Some((id, self.motor(id)?)));
-        let resting = all.filter(|(_, motor)| rests(motor));
-        resting.min_by_key(|(_, motor)| (is_silent(motor), motor.sent)).map(|(id, _)| id)
+        let resting = all.filter(|(_, motor)| {
+            motor.request.is_none() && motor.is_idle(now) && rests_until(motor) <= now
+        });
+        resting.min_by_key(|(_, motor)| rests_until(motor)).map(|(id, _)| id)
     }
 
     /// Gives up a motor's place and counters, so that another motor can have the place. Returns `false`, and changes
