@@ -1,8 +1,8 @@
 //! The rules of the master, one test a rule. Times are chosen by hand: the reply time-out of
 //! [`Config::CAN`] is 20.4 ms, its late window 40.8 ms.
 
+mod after_a_stop;
 mod answers;
-mod behind_a_stop;
 mod by_priority;
 mod doubts;
 mod every_cycle;
@@ -106,11 +106,11 @@ fn once(millis: u64) -> Patience {
 fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> u64 {
     let unconfirmed = [Event::StopUnconfirmed { motor: id(motor) }];
     let mut times = from..from + 1_000;
-    let told = times.find(|&now| {
+    let reported = times.find(|&now| {
         sent(master, ms(now));
         events(master, ms(now)) == unconfirmed
     });
-    told.expect("after fifteen attempts")
+    reported.expect("after fifteen attempts")
 }
 
 #[test]

@@ -47,8 +47,8 @@ fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
     let mut master = Master::<4>::new(Config::CAN);
     let ticket = master.request(id(1), step()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
-    let told = events(&mut master, ms(21));
-    assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+    let reported = events(&mut master, ms(21));
+    assert_eq!(ticket.outcome(&reported[0]), Some(Err(Failure::NoReply)));
     assert!(sent(&mut master, ms(21)).is_empty());
 
     let patience = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
@@ -69,8 +69,8 @@ fn a_patience_of_seconds_is_kept() {
             for after in (100..9_999).step_by(100).chain([9_999]) {
                 assert_eq!(events(&mut master, start + Duration::from_millis(after)), []);
             }
-            let told = events(&mut master, start + Duration::from_secs(10));
-            assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+            let reported = events(&mut master, start + Duration::from_secs(10));
+            assert_eq!(ticket.outcome(&reported[0]), Some(Err(Failure::NoReply)));
             // What may come late, comes no more.
             events(&mut master, start + Duration::from_secs(11));
             ticket
@@ -86,7 +86,7 @@ fn a_patience_of_seconds_is_kept() {
 }
 
 #[test]
-fn a_late_answer_is_not_taken_for_the_next_ones() {
+fn late_answer_does_not_answer_the_next_request() {
     let mut master = Master::<4>::new(Config::CAN);
     let _ = ask(&mut master, 1, step(), ms(0));
     events(&mut master, ms(21));
@@ -108,7 +108,7 @@ fn a_late_answer_is_not_taken_for_the_next_ones() {
 }
 
 #[test]
-fn a_doubled_answer_is_not_taken_for_the_next_ones() {
+fn duplicate_answer_does_not_answer_the_next_request() {
     let mut master = Master::<4>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let at = Instant::from_micros;
@@ -122,9 +122,9 @@ fn a_doubled_answer_is_not_taken_for_the_next_ones() {
     assert!(second.outcome(&event).is_some());
 }
 
-/// A drive that answers everything twice, 0.3 ms apart.
+/// The drive answers everything twice, 0.3 ms apart.
 #[test]
-fn a_second_answer_is_not_taken_for_that_to_the_next_of_its_kind() {
+fn second_copy_of_each_answer_is_a_stray() {
     let mut master = Master::<4>::new(Config::CAN);
     let at = Instant::from_micros;
     for cycle in 0..5 {
@@ -153,7 +153,7 @@ fn a_second_answer_is_not_taken_for_that_to_the_next_of_its_kind() {
 }
 
 #[test]
-fn an_answer_so_soon_after_another_counts_where_the_clock_is_coarse() {
+fn answers_at_the_same_instant_count_where_the_clock_is_coarse() {
     let mut master = Master::<4>::new(Config { shortest_response: Duration::ZERO, ..Config::CAN });
     for _ in 0..2 {
         let ticket = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
@@ -194,8 +194,8 @@ fn one_request_a_motor_at_a_time_and_no_more_motors_than_places() {
 fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
     let mut master = Master::<2>::new(Config::CAN);
     let reset = ask(&mut master, 1, Reset, ms(0));
-    let told = events(&mut master, ms(0));
-    assert!(told.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{told:?}");
+    let reported = events(&mut master, ms(0));
+    assert!(reported.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{reported:?}");
     // Nothing goes to that motor for two seconds; others are served.
     let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
     let _other = master.request(id(2), ReadMultiTurnAngle).unwrap();
@@ -217,8 +217,8 @@ fn an_id_change_is_done_when_sent_whether_it_is_echoed_or_not() {
     let mut master = Master::<2>::new(Config::CAN);
     let change = FunctionControl::SetCanId(id(9));
     let ticket = ask(&mut master, 1, change, ms(0));
-    let told = events(&mut master, ms(0));
-    assert_eq!(ticket.outcome(&told[0]), Some(Ok(change)));
+    let reported = events(&mut master, ms(0));
+    assert_eq!(ticket.outcome(&reported[0]), Some(Ok(change)));
     let echo = reply(&mut master, 1, change.encode(), ms(1)).unwrap();
     assert!(matches!(echo, Event::Stray { .. }));
     // Other functions wait for theirs.
@@ -251,7 +251,7 @@ impl Command for Lying {
 impl SetPoint for Lying {}
 
 #[test]
-fn the_bytes_hold_against_a_claim() {
+fn encoded_bytes_overrule_the_claimed_kind_of_a_command() {
     let harmless = Kind::Raw { byte: 0xA8, reply: ReplyRule::Values, moves: false };
     for claim in [harmless, Opcode::ReadStatus2.into()] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -313,7 +313,7 @@ fn a_short_frame_completes_nothing() {
 }
 
 #[test]
-fn a_timeout_of_nothing_still_lets_a_reply_come() {
+fn reply_timeout_of_zero_still_lets_a_reply_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     let ticket = master.request_with(id(1), ReadModel, once(0)).unwrap();
     sent(&mut master, ms(1));
@@ -357,7 +357,7 @@ fn a_request_and_a_stream_of_the_same_kind_exclude_each_other() {
 }
 
 #[test]
-fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
+fn wait_for_a_late_answer_ends_only_with_that_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -379,7 +379,7 @@ fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
 }
 
 #[test]
-fn while_the_bus_is_down_late_answers_do_not_grow_old() {
+fn late_window_begins_anew_when_the_bus_is_down() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, step(), ms(0));
     events(&mut master, ms(21));
@@ -437,7 +437,7 @@ fn only_a_motor_that_has_a_place_and_nothing_under_way_is_forgotten() {
 }
 
 #[test]
-fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
+fn motor_without_pending_work_has_no_deadline() {
     let mut master = Master::<2>::new(Config::CAN);
     let _reset = ask(&mut master, 1, Reset, ms(0));
     events(&mut master, ms(0));
@@ -453,7 +453,7 @@ fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
 }
 
 #[test]
-fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
+fn fourth_request_waits_until_the_first_given_up_cannot_be_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     for index in [1, 4, 5] {
         let at = 10 * u64::from(index);
@@ -471,7 +471,7 @@ fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
 }
 
 #[test]
-fn a_motor_that_is_asked_nothing_is_not_unreached_however_long_the_bus_is_down() {
+fn motor_without_a_request_stays_present_while_the_bus_is_down() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -487,9 +487,9 @@ fn a_motor_that_is_asked_nothing_is_not_unreached_however_long_the_bus_is_down()
     assert_eq!(master.health(id(1)).presence, Presence::Present);
 }
 
-/// Within 500 us of another reply, or two frames where these take longer, it may be that once more.
+/// Within 500 us of an equal reply, or two frames where these take longer, a reply may be a duplicate.
 #[test]
-fn what_comes_half_a_millisecond_or_two_frames_after_another_reply_is_none_doubled() {
+fn reply_500_us_or_two_frames_after_another_is_no_duplicate() {
     for (bit_rate, later, is_answer) in [
         (1_000_000, 499, false),
         (1_000_000, 500, true),
@@ -504,21 +504,21 @@ fn what_comes_half_a_millisecond_or_two_frames_after_another_reply_is_none_doubl
         let _ = ask(&mut master, 1, ReadMultiTurnAngle, at(0));
         reply(&mut master, 1, ANGLE_REPLY, at(2_000)).unwrap();
         let second = ask(&mut master, 1, ReadMultiTurnAngle, at(2_100));
-        let told = reply(&mut master, 1, ANGLE_REPLY, at(2_000 + later));
-        let is_told = told.is_some_and(|event| second.outcome(&event).is_some());
-        assert_eq!(is_told, is_answer, "{bit_rate} bit/s: {later} us");
+        let reported = reply(&mut master, 1, ANGLE_REPLY, at(2_000 + later));
+        let is_answered = reported.is_some_and(|event| second.outcome(&event).is_some());
+        assert_eq!(is_answered, is_answer, "{bit_rate} bit/s: {later} us");
     }
 }
 
 #[test]
-fn a_ticket_shows_whose_it_is() {
+fn debug_output_of_a_ticket_shows_its_id() {
     let mut master = Master::<2>::new(Config::CAN);
     let ticket = master.request(id(2), ReadMultiTurnAngle).unwrap();
     assert_eq!(std::format!("{ticket:?}"), std::format!("Ticket({:?})", ticket.id()));
 }
 
 #[test]
-fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
+fn late_replies_to_one_question_are_expected_until_the_latest_end() {
     use crate::master::late::{LateReplies, Of, Question};
     let question = Question::of(Kind::Known(Opcode::ReadModel), &ReadModel.encode());
     let mut late = LateReplies::default();
@@ -536,7 +536,7 @@ fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
 }
 
 #[test]
-fn where_answers_may_come_at_once_an_answer_to_all_is_none_doubled() {
+fn immediate_answer_to_a_broadcast_counts_where_the_clock_is_coarse() {
     let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
     let mut master = Master::<2>::new(config);
     let t = ask(&mut master, 1, ReadMultiTurnAngle, ms(10));
@@ -549,7 +549,7 @@ fn where_answers_may_come_at_once_an_answer_to_all_is_none_doubled() {
 }
 
 #[test]
-fn two_reports_that_are_looked_at_at_once_are_reports() {
+fn two_reports_at_the_same_instant_are_both_reports() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1));
@@ -561,9 +561,9 @@ fn two_reports_that_are_looked_at_at_once_are_reports() {
     }
 }
 
-/// Its time was up, and it waited for its next attempt.
+/// The time-out of the first attempt was over, and the request waited for its second.
 #[test]
-fn what_is_dropped_between_two_attempts_is_late_for_a_time_that_ends() {
+fn request_dropped_between_attempts_delays_its_like_for_a_late_window() {
     for is_withdrawn in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         let twice = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
@@ -582,9 +582,9 @@ fn what_is_dropped_between_two_attempts_is_late_for_a_time_that_ends() {
     }
 }
 
-/// The ticket of a request that takes its place would name it.
+/// Otherwise the report would name the ticket of the new request.
 #[test]
-fn no_request_is_taken_before_it_was_told_that_a_stop_took_the_place_of_the_last() {
+fn request_is_refused_until_the_stopped_one_is_reported_as_failed() {
     let mut master = Master::<2>::new(Config::CAN);
     let first = master.request(id(1), ReadModel).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -598,7 +598,7 @@ fn no_request_is_taken_before_it_was_told_that_a_stop_took_the_place_of_the_last
 }
 
 #[test]
-fn a_motor_is_not_forgotten_before_its_failure_was_told_or_while_it_restarts() {
+fn motor_with_unreported_failure_or_under_restart_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
     sent(&mut master, ms(0));
@@ -613,9 +613,9 @@ fn a_motor_is_not_forgotten_before_its_failure_was_told_or_while_it_restarts() {
     assert!(master.forget(id(2)));
 }
 
-/// A step was offered and withdrawn, and the request in its place was not offered.
+/// A step was offered and withdrawn; the request in its place was never offered.
 #[test]
-fn what_was_put_since_the_offer_was_not_sent() {
+fn request_put_after_the_offer_does_not_count_as_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     let ticket = master.request(id(1), step()).unwrap();
     assert!(master.poll_transmit(ms(0)).is_some());
@@ -636,20 +636,20 @@ fn a_short_frame_counts_as_a_stray() {
     assert_eq!(master.health(id(1)).stray, 1);
 }
 
-/// What was heard 0.45 ms before looks otherwise.
+/// The reply that was heard 0.45 ms before has other bytes.
 #[test]
-fn an_answer_that_comes_soon_after_another_command_is_none_doubled() {
+fn answer_soon_after_that_to_another_command_is_no_duplicate() {
     let at = Instant::from_micros;
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, at(0));
     reply(&mut master, 1, ANGLE_REPLY, at(1_000)).unwrap();
     let second = ask(&mut master, 1, ReadModel, at(1_100));
-    let told = reply(&mut master, 1, *b"\xB5X8S2V10", at(1_450));
-    assert!(told.is_some_and(|event| second.outcome(&event).is_some()));
+    let reported = reply(&mut master, 1, *b"\xB5X8S2V10", at(1_450));
+    assert!(reported.is_some_and(|event| second.outcome(&event).is_some()));
 }
 
 #[test]
-fn a_motor_that_is_heard_between_is_not_silent_because_the_bus_was_down_now_and_then() {
+fn motor_heard_between_short_outages_stays_present() {
     let mut master = Master::<2>::new(Config::CAN);
     for now in (0..10).map(|time| 10 * time) {
         let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
@@ -665,7 +665,7 @@ fn a_motor_that_is_heard_between_is_not_silent_because_the_bus_was_down_now_and_
 }
 
 #[test]
-fn a_read_that_makes_way_among_late_replies_moves_nobody() {
+fn read_displaced_from_the_late_replies_is_not_taken_for_a_move() {
     use crate::master::late::{LateReplies, Of, Question};
     let mut late = LateReplies::default();
     let read = |opcode| Question::without_key(Kind::Known(opcode));
@@ -677,7 +677,7 @@ fn a_read_that_makes_way_among_late_replies_moves_nobody() {
 }
 
 #[test]
-fn what_may_come_later_is_not_over_sooner_for_what_is_sent_since() {
+fn later_frame_does_not_shorten_how_long_an_earlier_one_may_arrive() {
     use crate::master::on_its_way::OnItsWay;
     let mut on_its_way = OnItsWay::default();
     on_its_way.put(ms(100), false);
@@ -685,9 +685,9 @@ fn what_may_come_later_is_not_over_sooner_for_what_is_sent_since() {
     assert_eq!(on_its_way.end(), Some(ms(100)));
 }
 
-/// The longest is 40 ms, and nothing was measured yet.
+/// The time-out may grow to 40 ms, and nothing was measured before.
 #[test]
-fn what_confirms_a_stop_is_measured_and_what_comes_late_lengthens_the_time_outs() {
+fn stop_confirmation_is_measured_and_late_reply_lengthens_time_outs() {
     let longest = Duration::from_millis(40);
     let mut master = Master::<2>::new(Config::CAN.adapting_up_to(longest));
     master.stop(id(1), StopKind::Off).unwrap();
@@ -703,9 +703,9 @@ fn what_confirms_a_stop_is_measured_and_what_comes_late_lengthens_the_time_outs(
     assert!(master.config().reply_timeout > shortest);
 }
 
-/// What ends motion may be answered for another of its sendings, but no drive takes as long as a caller may wait.
+/// A lock may be answered for another of its sendings, but no drive takes as long as a caller may wait.
 #[test]
-fn whoever_is_patient_waits_no_longer_for_the_next_answer_than_50_ms_and_the_late_window() {
+fn lock_after_a_patient_one_waits_at_most_50_ms_and_the_late_window() {
     let mut master = Master::<2>::new(Config::CAN);
     let patient = Patience { reply_timeout: Duration::from_millis(200), attempts: 2 };
     let _first = master.request_with(id(1), LockBrake, patient).unwrap();
@@ -721,7 +721,7 @@ fn whoever_is_patient_waits_no_longer_for_the_next_answer_than_50_ms_and_the_lat
 }
 
 #[test]
-fn a_copy_of_the_last_answer_is_none_to_the_same_question_to_all() {
+fn duplicate_of_the_last_answer_does_not_answer_the_same_broadcast() {
     let micros = Instant::from_micros;
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, micros(0));
@@ -735,9 +735,9 @@ fn a_copy_of_the_last_answer_is_none_to_the_same_question_to_all() {
     assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
 }
 
-/// Only what was answered last comes once more.
+/// Only the last answer can come once more, and the stray answered nothing.
 #[test]
-fn an_answer_to_all_so_soon_after_a_report_of_its_kind_is_none_doubled() {
+fn answer_to_a_broadcast_soon_after_a_stray_of_its_kind_counts() {
     let micros = Instant::from_micros;
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, micros(0));
@@ -750,9 +750,9 @@ fn an_answer_to_all_so_soon_after_a_report_of_its_kind_is_none_doubled() {
     assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
 }
 
-/// What is sent again and again goes on owing answers: as many are counted as two stops have sendings.
+/// A stop that is sent again and again goes on owing answers: as many are counted as two stops have sendings.
 #[test]
-fn thirty_late_answers_to_one_question_are_told_apart_from_the_next() {
+fn owed_answers_to_one_question_are_counted_up_to_thirty() {
     use crate::master::late::{LateReplies, Of, Question};
     let stop = Question::without_key(Opcode::Stop.into());
     let mut late = LateReplies::default();
@@ -764,7 +764,7 @@ fn thirty_late_answers_to_one_question_are_told_apart_from_the_next() {
 }
 
 #[test]
-fn who_is_heard_is_present_after_a_bus_that_was_down_and_before_any_answer() {
+fn report_makes_a_motor_present_before_any_answer_or_after_an_outage() {
     let report = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
     for downs in [0, 3] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -782,7 +782,7 @@ fn who_is_heard_is_present_after_a_bus_that_was_down_and_before_any_answer() {
 }
 
 #[test]
-fn no_set_point_and_no_command_to_all_counts_as_lost_before_a_millisecond_has_gone_by() {
+fn set_point_and_broadcast_are_awaited_for_at_least_a_millisecond() {
     let mut master = Master::<2>::new(Config { reply_timeout: Duration::ZERO, ..Config::CAN });
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);

@@ -5,7 +5,7 @@ use super::*;
 
 const MAILBOXES: usize = 3;
 
-/// Motors with lower ids are told sooner.
+/// Commands to motors with lower ids are sent sooner.
 fn priority(packet: &Packet) -> Option<core::cmp::Reverse<MotorId>> {
     match packet.channel {
         Channel::Command(Target::Motor(motor)) => Some(core::cmp::Reverse(motor)),
@@ -14,26 +14,26 @@ fn priority(packet: &Packet) -> Option<core::cmp::Reverse<MotorId>> {
 }
 
 /// In each of these milliseconds, what is in the mailboxes is sent, and answered by all motors but the `absent`. Then
-/// the caller has its `cycle`, and then the master runs. Returns when each motor was first told to stop, and how often
-/// it was told anything else.
-fn told(
+/// the caller has its `cycle`, and then the master runs. Returns when each motor got its first stop, and how often
+/// it got anything else.
+fn commanded(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
     absent: MotorSet,
     cycle: impl FnMut(&mut Master<32>, u64),
 ) -> [(Option<u64>, u64); MotorId::COUNT] {
-    told_with_all(master, span, absent, cycle).0
+    commanded_with_all(master, span, absent, cycle).0
 }
 
 /// The same, and how often a command to all was sent.
-fn told_with_all(
+fn commanded_with_all(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
     absent: MotorSet,
     mut cycle: impl FnMut(&mut Master<32>, u64),
 ) -> ([(Option<u64>, u64); MotorId::COUNT], u64) {
     let mut to_all = 0;
-    let mut told = [(None, 0); MotorId::COUNT];
+    let mut commanded = [(None, 0); MotorId::COUNT];
     let mut mailboxes = Vec::<Packet>::new();
     for now in span {
         for packet in core::mem::take(&mut mailboxes) {
@@ -47,7 +47,7 @@ fn told_with_all(
                 continue;
             };
             let is_stop = packet.data[0] == 0x80;
-            let (stopped_at, others) = &mut told[motor.index()];
+            let (stopped_at, others) = &mut commanded[motor.index()];
             if is_stop {
                 stopped_at.get_or_insert(now);
             } else {
@@ -72,7 +72,7 @@ fn told_with_all(
             makes_way.iter().for_each(|packet| master.handle_pushed_out(packet));
         }
     }
-    (told, to_all)
+    (commanded, to_all)
 }
 
 fn first(motors: u8) -> impl Iterator<Item = MotorId> {
@@ -80,28 +80,28 @@ fn first(motors: u8) -> impl Iterator<Item = MotorId> {
 }
 
 #[test]
-fn a_stop_of_all_of_every_cycle_reaches_each_motor() {
+fn cyclic_stop_of_all_reaches_each_motor() {
     for motors in [6, 8, 12, 16, 32] {
         let mut master = Master::new(Config::CAN);
-        let told = told(&mut master, 0..100, MotorSet::EMPTY, |master, _| {
+        let commanded = commanded(&mut master, 0..100, MotorSet::EMPTY, |master, _| {
             master.stop_all(StopKind::Off, first(motors).collect()).unwrap();
         });
         // Three a millisecond, and they are answered in the next one.
         let last = u64::from(motors).div_ceil(MAILBOXES as u64);
         for motor in first(motors) {
-            let (at, _) = told[motor.index()];
+            let (at, _) = commanded[motor.index()];
             assert!(at.is_some_and(|at| at <= last), "motor {motor} of {motors}: {at:?}");
         }
     }
 }
 
-/// It has not answered when it was asked, so the others do not wait for its turn.
+/// The motor has not answered its last request, so the others do not wait for its turn.
 #[test]
-fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
+fn stop_of_a_silent_motor_is_sent_before_the_streams_of_others() {
     for motors in 4..=12 {
         let mut master = Master::new(Config::CAN);
         let last = id(motors);
-        let told = told(&mut master, 0..300, last.into(), |master, now| {
+        let commanded = commanded(&mut master, 0..300, last.into(), |master, now| {
             if now == 100 {
                 let _read = master.request(last, ReadModel).unwrap();
             }
@@ -113,7 +113,7 @@ fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
             }
         });
         // It has to make way at 200 ms, is alone in the mailboxes at 201 ms, and is sent.
-        assert!(told[last.index()].0.is_some_and(|at| at <= 202), "of {motors}");
+        assert!(commanded[last.index()].0.is_some_and(|at| at <= 202), "of {motors}");
     }
 }
 
@@ -126,18 +126,18 @@ fn stream(motors: MotorSet) -> impl FnMut(&mut Master<32>, u64) {
     }
 }
 
-/// Whatever each of them has had before: the last has streamed alone, and then one that was idle was stopped; or two or
-/// three answers of it were lost; or all have streamed, and it has answered none.
+/// The last motor has streamed alone, and then an idle one was stopped; or two or three answers of it were lost; or all
+/// have streamed, and it has answered none.
 #[test]
-fn streams_of_all_have_equal_shares() {
+fn streams_of_all_have_equal_shares_whatever_was_before() {
     for motors in [4, 6, 9, 12, 16] {
         let last = id(motors);
         for history in 0..5 {
             let mut master = Master::new(Config::CAN);
             match history {
                 1 => {
-                    told(&mut master, 0..3_000, MotorSet::EMPTY, stream(last.into()));
-                    told(&mut master, 3_000..3_100, MotorSet::EMPTY, |master, now| {
+                    commanded(&mut master, 0..3_000, MotorSet::EMPTY, stream(last.into()));
+                    commanded(&mut master, 3_000..3_100, MotorSet::EMPTY, |master, now| {
                         if now == 3_050 {
                             master.stop(id(1), StopKind::Off).unwrap();
                         }
@@ -145,7 +145,7 @@ fn streams_of_all_have_equal_shares() {
                     master.lift_stop();
                 }
                 2 | 3 => {
-                    told(&mut master, 3_000..3_100, last.into(), |master, now| {
+                    commanded(&mut master, 3_000..3_100, last.into(), |master, now| {
                         if now == 3_000 {
                             let patience = master.patience(history);
                             let _read = master.request_with(last, ReadModel, patience).unwrap();
@@ -154,31 +154,31 @@ fn streams_of_all_have_equal_shares() {
                 }
                 4 => {
                     let all = stream(first(motors).collect());
-                    told(&mut master, 0..3_100, last.into(), all);
+                    commanded(&mut master, 0..3_100, last.into(), all);
                 }
                 _ => {}
             }
             let all = stream(first(motors).collect());
-            let told = told(&mut master, 3_100..3_600, MotorSet::EMPTY, all);
-            let shares: Vec<_> = first(motors).map(|motor| told[motor.index()].1).collect();
+            let commanded = commanded(&mut master, 3_100..3_600, MotorSet::EMPTY, all);
+            let shares: Vec<_> = first(motors).map(|motor| commanded[motor.index()].1).collect();
             let (least, most) = (shares.iter().min().unwrap(), shares.iter().max().unwrap());
             assert!(most - least <= 3 + most / 20, "of {motors}, {history}: {shares:?}");
         }
     }
 }
 
-/// One is stopped in every cycle: its turns are no measure for the others.
+/// The turns of the stopped motor are no measure for the others.
 #[test]
-fn streams_have_equal_shares_beside_a_stop_of_every_cycle() {
+fn streams_have_equal_shares_while_one_motor_is_stopped_in_every_cycle() {
     for (motors, stopped) in [(8, 1), (8, 8), (12, 1), (12, 12), (32, 1), (32, 32)] {
         let mut master = Master::new(Config::CAN);
         let others = first(motors).collect::<MotorSet>().without(id(stopped).into());
         let mut streams = stream(others);
-        let told = told(&mut master, 0..1_000, MotorSet::EMPTY, |master, now| {
+        let commanded = commanded(&mut master, 0..1_000, MotorSet::EMPTY, |master, now| {
             master.stop(id(stopped), StopKind::Off).unwrap();
             streams(master, now);
         });
-        let shares: Vec<_> = others.iter().map(|motor| told[motor.index()].1).collect();
+        let shares: Vec<_> = others.iter().map(|motor| commanded[motor.index()].1).collect();
         let (least, most) = (shares.iter().min().unwrap(), shares.iter().max().unwrap());
         assert!(most - least <= 3 + most / 20, "of {motors}, {stopped}: {shares:?}");
     }
@@ -186,27 +186,27 @@ fn streams_have_equal_shares_beside_a_stop_of_every_cycle() {
 
 /// How often a command to all is sent in 200 ms in which this many motors are stopped in every cycle. That is more than
 /// the mailboxes hold, and all of it goes before a command to all.
-fn told_all_beside_stops(motors: u8, mut tell: impl FnMut(&mut Master<32>, u64)) -> u64 {
+fn broadcasts_during_stops(motors: u8, mut command: impl FnMut(&mut Master<32>, u64)) -> u64 {
     let mut master = Master::new(Config::CAN);
-    let (_, to_all) = told_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
+    let (_, to_all) = commanded_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
         for motor in first(motors) {
             master.stop(motor, StopKind::Off).unwrap();
         }
-        tell(master, now);
+        command(master, now);
     });
     to_all
 }
 
 #[test]
-fn what_all_are_told_goes_though_motors_are_stopped_in_every_cycle() {
+fn broadcast_is_sent_though_motors_are_stopped_in_every_cycle() {
     for motors in [3, 4, 6, 12, 31] {
         for expected in [first(motors).collect(), MotorSet::EMPTY] {
-            let reads = told_all_beside_stops(motors, |master, _| {
+            let reads = broadcasts_during_stops(motors, |master, _| {
                 let _active = master.broadcast(ReadMultiTurnAngle, expected);
             });
             assert!(reads >= 10, "{reads} beside stops of {motors}, {expected:?}");
         }
-        let locks = told_all_beside_stops(motors, |master, _| {
+        let locks = broadcasts_during_stops(motors, |master, _| {
             let _active = master.broadcast(LockBrake, MotorSet::EMPTY);
         });
         assert!(locks >= 10, "{locks} beside stops of {motors}");
@@ -214,9 +214,9 @@ fn what_all_are_told_goes_though_motors_are_stopped_in_every_cycle() {
 }
 
 #[test]
-fn a_stop_to_all_goes_though_motors_are_stopped_in_every_cycle() {
+fn stop_to_all_is_sent_though_motors_are_stopped_in_every_cycle() {
     for motors in [3, 4, 6, 12, 31] {
-        let stops = told_all_beside_stops(motors, |master, now| {
+        let stops = broadcasts_during_stops(motors, |master, now| {
             if now == 100 {
                 master.broadcast.may_be_unnamed = true;
                 master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
@@ -228,11 +228,11 @@ fn a_stop_to_all_goes_though_motors_are_stopped_in_every_cycle() {
 
 /// Others stream, one is stopped, and all are asked for something, in every cycle.
 #[test]
-fn a_shutdown_that_is_asked_for_waits_for_no_broadcast_of_every_cycle() {
+fn requested_shutdown_is_sent_within_41_ms_during_cyclic_broadcasts() {
     for motors in [4, 6, 8, 10] {
         let mut master = Master::new(Config::CAN);
         let mut streams = stream(first(motors).filter(|&motor| motor > id(2)).collect());
-        let told = told(&mut master, 0..600, MotorSet::EMPTY, |master, now| {
+        let commanded = commanded(&mut master, 0..600, MotorSet::EMPTY, |master, now| {
             streams(master, now);
             master.stop(id(2), StopKind::Off).unwrap();
             let _active = master.broadcast(ReadMultiTurnAngle, first(motors).collect());
@@ -241,30 +241,30 @@ fn a_shutdown_that_is_asked_for_waits_for_no_broadcast_of_every_cycle() {
             }
         });
         // As long as one command to all may take, and the next.
-        let (at, _) = told[0];
+        let (at, _) = commanded[0];
         assert!(at.is_some_and(|at| at <= 141), "of {motors}: {at:?}");
     }
 }
 
-/// It has answered nothing before, and others stream.
+/// The last motor has answered nothing before.
 #[test]
-fn a_request_is_told_to_the_last_though_others_stream() {
+fn request_to_the_last_motor_is_sent_though_others_stream() {
     for motors in [4, 6, 9, 12, 16] {
         let mut master = Master::new(Config::CAN);
         let last = id(motors);
         let mut others = stream(first(motors - 1).collect());
-        told(&mut master, 0..100, last.into(), |master, now| {
+        commanded(&mut master, 0..100, last.into(), |master, now| {
             if now == 0 {
                 let _read = master.request(last, ReadModel).unwrap();
             }
         });
-        let told = told(&mut master, 100..120, MotorSet::EMPTY, |master, now| {
+        let commanded = commanded(&mut master, 100..120, MotorSet::EMPTY, |master, now| {
             if now == 110 {
                 let _read = master.request(last, ReadRunTime).unwrap();
             }
             others(master, now);
         });
-        assert_eq!(told[last.index()], (None, 1), "of {motors}");
+        assert_eq!(commanded[last.index()], (None, 1), "of {motors}");
     }
 }
 
@@ -322,7 +322,7 @@ impl Arbitrating {
 }
 
 #[test]
-fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitrate() {
+fn cyclic_stop_of_all_is_confirmed_by_each_motor_though_answers_arbitrate() {
     for motors in [8, 16, 32] {
         let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(10, motors));
         let mut silent: MotorSet = first(motors).collect();
@@ -344,22 +344,22 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitr
     }
 }
 
-/// One or two answers of it were lost; the bus is full, and answers of lower ids go before its own.
+/// One or two answers of the motor were lost; the bus is full, and answers of lower ids go before its own.
 #[test]
-fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
+fn motor_with_lost_answers_still_confirms_its_stop_within_20_ms() {
     for (motors, lost) in [(6_u8, 1), (9, 1), (12, 1), (6, 2), (9, 2), (12, 2)] {
         let (mut master, mut bus) =
             (Master::<32>::new(Config::CAN), Arbitrating::new(MAILBOXES, motors));
         let last = id(motors);
         let mut others = stream(first(motors - 1).collect());
-        let (mut loses, mut stopped_at, mut told_at) = (0, 0, None);
+        let (mut loses, mut stopped_at, mut confirmed_at) = (0, 0, None);
         for slot in 0..8_000 {
             let now = Instant::from_micros(125 * slot);
             if let Some((motor, data)) = bus.carry(slot) {
                 if motor == last && loses > 0 {
                     loses -= 1;
                 } else if reply(&mut master, motor.get(), data, now) == confirmed(motors) {
-                    told_at.get_or_insert(slot);
+                    confirmed_at.get_or_insert(slot);
                 }
             }
             others(&mut master, slot / 8);
@@ -375,17 +375,17 @@ fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
             events(&mut master, now);
             bus.fill(&mut master, now);
         }
-        let told_after = told_at.map(|at| at - stopped_at);
+        let confirmed_after = confirmed_at.map(|at| at - stopped_at);
         assert!(
-            told_after.is_some_and(|slots| slots <= 8 * 20),
-            "{motors}, {lost}: {told_after:?}"
+            confirmed_after.is_some_and(|slots| slots <= 8 * 20),
+            "{motors}, {lost}: {confirmed_after:?}"
         );
     }
 }
 
 /// The others stream, and the bus is never quiet.
 #[test]
-fn a_stop_and_a_command_to_all_of_every_cycle_have_their_turns_on_a_full_bus() {
+fn cyclic_stop_and_cyclic_broadcast_both_get_turns_on_a_full_bus() {
     for (motors, room) in [(6_u8, MAILBOXES), (12, MAILBOXES), (6, 10), (12, 10)] {
         let (mut master, mut bus) =
             (Master::<32>::new(Config::CAN), Arbitrating::new(room, motors));
@@ -409,7 +409,7 @@ fn a_stop_and_a_command_to_all_of_every_cycle_have_their_turns_on_a_full_bus() {
     }
 }
 
-/// It would be pushed out, or push something out that all wait for then.
+/// A frame sent ahead would be pushed out, or would push one out that all then wait for.
 #[test]
 fn a_motor_gets_a_round_less_ahead_for_each_frame_that_could_be_pushed_out() {
     let at = Instant::from_micros;

@@ -4,7 +4,7 @@
 use super::unnamed::{channels, to};
 use super::*;
 
-/// Motor 1 is told to hold after `before`. Returns whether its first confirmation counts, and otherwise when the next
+/// Motor 1 is to hold after `before`. Returns whether its first confirmation counts, and otherwise when the next
 /// frame is due.
 fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
     let mut master = Master::<2>::new(Config::CAN);
@@ -13,8 +13,8 @@ fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
     assert_eq!(sent(&mut master, ms(at))[0].data, Stop.encode());
     match reply(&mut master, 1, Stop.encode(), ms(at + 1)) {
         None => Err(master.poll_at().unwrap()),
-        told => {
-            assert_eq!(told, confirmed(1));
+        reported => {
+            assert_eq!(reported, confirmed(1));
             Ok(())
         }
     }
@@ -28,14 +28,14 @@ fn to_all<C: Command>(master: &mut Master<2>, command: C, at: u64) -> Packet {
 }
 
 #[test]
-fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_all_since() {
+fn hold_is_in_doubt_while_an_earlier_shutdown_or_reset_to_all_may_arrive() {
     // No motor has a place, so nothing waits for answers. Each command may arrive for 61.2 ms.
     let reset = |master: &mut Master<2>| _ = to_all(master, Reset, 0);
     let off = |master: &mut Master<2>| _ = to_all(master, Shutdown, 0);
     let read = |master: &mut Master<2>| _ = to_all(master, ReadMultiTurnAngle, 1);
     for lets_go in [&reset as &dyn Fn(&mut Master<2>), &off] {
         for is_another_sent in [false, true] {
-            let told = held_after(
+            let reported = held_after(
                 |master| {
                     lets_go(master);
                     if is_another_sent {
@@ -44,7 +44,7 @@ fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_al
                 },
                 2,
             );
-            assert!(told.is_err_and(|at| at > ms(60) && at < ms(64)), "{told:?}");
+            assert!(reported.is_err_and(|at| at > ms(60) && at < ms(64)), "{reported:?}");
         }
     }
     assert_eq!(held_after(read, 2), Ok(()));
@@ -74,7 +74,7 @@ fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_al
 }
 
 #[test]
-fn what_lets_go_of_all_is_in_nobodys_way_but_of_who_is_to_be_held() {
+fn pending_shutdown_to_all_delays_only_the_confirmation_of_holds() {
     let mut master = Master::<2>::new(Config::CAN);
     to_all(&mut master, Shutdown, 0);
     for motor in [1, 2] {
@@ -93,22 +93,22 @@ fn what_lets_go_of_all_is_in_nobodys_way_but_of_who_is_to_be_held() {
     master.stop(id(2), StopKind::Hold).unwrap();
     let locked = master.request(id(1), LockBrake).unwrap();
     sent(&mut master, ms(1));
-    let told = reply(&mut master, 1, LockBrake.encode(), ms(2)).unwrap();
-    assert!(locked.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, LockBrake.encode(), ms(2)).unwrap();
+    assert!(locked.outcome(&reported).is_some());
 }
 
 #[test]
-fn a_hold_is_in_doubt_while_a_cut_bus_may_keep_a_shutdown_of_all() {
+fn hold_is_in_doubt_while_a_cut_bus_may_keep_a_shutdown_to_all() {
     // Nothing was heard since it was sent, and then of another drive.
-    let told = held_after(
+    let reported = held_after(
         |master| {
             to_all(master, Shutdown, 0);
             events(master, ms(300));
         },
         500,
     );
-    assert!(told.is_err_and(|at| at > ms(540) && at < ms(545)), "{told:?}");
-    let told = held_after(
+    assert!(reported.is_err_and(|at| at > ms(540) && at < ms(545)), "{reported:?}");
+    let reported = held_after(
         |master| {
             to_all(master, Shutdown, 0);
             reply(master, 2, ANGLE_REPLY, ms(100));
@@ -116,7 +116,7 @@ fn a_hold_is_in_doubt_while_a_cut_bus_may_keep_a_shutdown_of_all() {
         },
         500,
     );
-    assert_eq!(told, Ok(()));
+    assert_eq!(reported, Ok(()));
 }
 
 /// A motor that is known, and then silent until its restart is reported.
@@ -133,7 +133,7 @@ fn restarted(between: impl FnOnce(&mut Master<2>) -> Packet) -> (Master<2>, Pack
 }
 
 #[test]
-fn a_move_of_all_that_is_handed_back_after_a_restart_was_told_does_not_go_by_itself() {
+fn move_to_all_handed_back_after_a_reported_restart_is_not_sent_again() {
     for (expected, is_resumed) in
         [(id(1).into(), false), (MotorSet::EMPTY, false), (id(1).into(), true)]
     {
@@ -141,27 +141,27 @@ fn a_move_of_all_that_is_handed_back_after_a_restart_was_told_does_not_go_by_its
             master.broadcast(step(), expected).unwrap();
             sent(master, ms(1_090))[0]
         });
-        let told: Vec<Event> = core::iter::from_fn(|| {
+        let reported: Vec<Event> = core::iter::from_fn(|| {
             master.places.news.iter().next()?;
             master.change(id(1), take_news)?
         })
         .collect();
-        assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
+        assert!(reported.contains(&Event::Restarted { motor: id(1) }), "{reported:?}");
         master.handle_pushed_out(&in_mailbox);
         if is_resumed {
             master.resume(id(1));
         }
         assert_eq!(master.poll_transmit(ms(1_100)), None, "{expected:?}");
-        let told = events(&mut master, ms(1_100));
+        let reported = events(&mut master, ms(1_100));
         assert!(
-            told.contains(&Event::BroadcastDone { silent: expected, was_sent: false }),
-            "{told:?}"
+            reported.contains(&Event::BroadcastDone { silent: expected, was_sent: false }),
+            "{reported:?}"
         );
     }
 }
 
 #[test]
-fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_answered() {
+fn last_attempt_of_a_failed_stop_handed_back_does_not_count_as_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -178,7 +178,7 @@ fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_a
 }
 
 #[test]
-fn a_command_to_all_that_is_handed_back_after_its_time_was_up_was_not_lost() {
+fn broadcast_handed_back_after_its_time_out_does_not_count_as_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     // This one is lost, and stays so.
     let patience = master.patience(1);
@@ -200,7 +200,7 @@ fn a_command_to_all_that_is_handed_back_after_its_time_was_up_was_not_lost() {
 }
 
 #[test]
-fn a_command_to_all_that_is_handed_back_in_time_says_nothing_of_the_one_before() {
+fn handed_back_broadcast_leaves_the_loss_of_the_one_before_counted() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -215,8 +215,7 @@ fn a_command_to_all_that_is_handed_back_in_time_says_nothing_of_the_one_before()
 }
 
 #[test]
-fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_the_longest_response()
- {
+fn feedback_counts_as_lost_after_a_time_out_below_the_longest_response() {
     let mut config = Config { reply_timeout: Duration::from_micros(1_200), ..Config::CAN };
     config.late_window = Duration::from_millis(3);
     let mut master = Master::<2>::new(config);
@@ -228,7 +227,7 @@ fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_t
 }
 
 #[test]
-fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_who_is_held() {
+fn shutdown_to_all_overtaken_by_a_hold_does_not_reach_the_held_motor() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
     for is_confirmed in [true, false] {
         for is_handed_back in [true, false] {
@@ -267,7 +266,7 @@ fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_
 }
 
 #[test]
-fn what_moves_and_is_in_flight_is_not_sent_again_once_all_are_told_to_end_their_motion() {
+fn brake_release_in_flight_is_not_resent_after_a_shutdown_to_all() {
     for is_handed_back in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         let ticket = master.request(id(1), ReleaseBrake).unwrap();
@@ -290,7 +289,7 @@ fn what_moves_and_is_in_flight_is_not_sent_again_once_all_are_told_to_end_their_
 }
 
 #[test]
-fn a_motor_that_a_command_to_all_may_yet_move_is_not_forgotten() {
+fn motor_that_a_broadcast_may_yet_move_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
     assert!(!master.forget(id(1)), "it waits");
@@ -311,7 +310,7 @@ fn a_motor_that_a_command_to_all_may_yet_move_is_not_forgotten() {
 }
 
 #[test]
-fn no_older_hold_of_one_motor_follows_a_shutdown_of_all() {
+fn no_older_hold_of_one_motor_follows_a_shutdown_or_reset_to_all() {
     let hold_by_stop = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
     let hold_by_request = |master: &mut Master<2>| _ = master.request(id(1), Stop).unwrap();
     let off = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY);
@@ -354,14 +353,14 @@ fn no_older_hold_of_one_motor_follows_a_shutdown_of_all() {
 }
 
 #[test]
-fn no_older_shutdown_of_one_motor_follows_what_holds_all() {
+fn hold_to_all_waits_for_an_older_shutdown_of_one_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     let off = master.request(id(1), Shutdown).unwrap();
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
     let of_one = packet_to(1, Shutdown.encode());
     assert_eq!(sent(&mut master, ms(0)), [of_one]);
-    let told = reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
-    assert!(off.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
+    assert!(off.outcome(&reported).is_some());
     assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
 }
 
@@ -377,7 +376,7 @@ fn sent_on_line(before: impl Fn(&mut Master<2>), then: impl Fn(&mut Master<2>)) 
 }
 
 #[test]
-fn on_rs485_nothing_meets_the_answers_to_a_command_to_all() {
+fn on_rs485_nothing_is_sent_while_a_broadcast_may_be_answered() {
     let read = |master: &mut Master<2>| _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
     let unheard = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     // And 0.1 ms for the drives to turn around.
@@ -392,15 +391,15 @@ fn on_rs485_nothing_meets_the_answers_to_a_command_to_all() {
 }
 
 #[test]
-fn on_rs485_no_shutdown_meets_the_answer_to_a_hold_that_it_takes_the_place_of() {
+fn on_rs485_shutdown_to_all_waits_for_the_answer_to_the_hold_before() {
     let hold = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
     let off_all = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     assert_eq!(sent_on_line(hold, off_all), ms(5));
 }
 
-/// The move of all was in the controller for 59 ms, and the set-point may still be there.
+/// The move to all was in the controller for 59 ms, and the set-point may still be there.
 #[test]
-fn the_answer_to_a_move_of_all_is_no_feedback_of_a_set_point_like_it() {
+fn answer_to_a_move_to_all_is_not_the_feedback_of_an_equal_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -423,9 +422,9 @@ fn the_answer_to_a_move_of_all_is_no_feedback_of_a_set_point_like_it() {
     );
 }
 
-/// The same where a stop went over the set-point.
+/// A stop has taken the place of the set-point, which may still be in the controller.
 #[test]
-fn the_answer_to_a_move_of_all_is_no_late_feedback_of_a_set_point_like_it() {
+fn answer_to_a_move_to_all_is_not_late_feedback_of_an_equal_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -448,7 +447,7 @@ fn the_answer_to_a_move_of_all_is_no_late_feedback_of_a_set_point_like_it() {
 }
 
 #[test]
-fn doubled_feedback_is_no_answer_to_a_move_of_all() {
+fn duplicate_feedback_does_not_answer_a_move_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -459,15 +458,11 @@ fn doubled_feedback_is_no_answer_to_a_move_of_all() {
     reply(&mut master, 1, TORQUE_REPLY, ms(2) + Duration::from_micros(140));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(3))), [to(1)]);
-    assert_eq!(
-        reply(&mut master, 1, Shutdown.encode(), ms(4)),
-        None,
-        "what all were told may come"
-    );
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None, "the move to all may come");
 }
 
 #[test]
-fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
+fn duplicate_late_feedback_is_not_that_of_the_second_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -486,9 +481,8 @@ fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
     );
 }
 
-/// A set-point of motion mode has the least urgent id: it is in a mailbox, and the stop overtakes it.
 #[test]
-fn behind_a_cut_that_follows_its_first_answer_a_stop_is_confirmed_by_no_other() {
+fn stop_first_answered_before_a_cut_is_not_confirmed_right_after_it() {
     let mut master = Master::<2>::new(Config::CAN);
     // Motion mode has the least urgent ids: it is in a mailbox, and the stop overtakes it.
     master.set_point(id(1), motion(), ms(0)).unwrap();
@@ -512,7 +506,7 @@ fn behind_a_cut_that_follows_its_first_answer_a_stop_is_confirmed_by_no_other() 
 }
 
 #[test]
-fn that_another_motor_was_heard_before_a_cut_says_nothing_of_what_lies_in_a_mailbox() {
+fn set_point_may_follow_a_cut_though_another_motor_was_heard_before_it() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -534,7 +528,7 @@ fn that_another_motor_was_heard_before_a_cut_says_nothing_of_what_lies_in_a_mail
 }
 
 #[test]
-fn that_another_motor_was_heard_before_a_cut_says_nothing_of_a_move_of_all() {
+fn move_to_all_may_follow_a_cut_though_another_motor_was_heard_before_it() {
     for named in [MotorSet::EMPTY, id(1).into()] {
         let mut master = Master::<2>::new(Config::CAN);
         let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
@@ -559,9 +553,9 @@ fn that_another_motor_was_heard_before_a_cut_says_nothing_of_a_move_of_all() {
     }
 }
 
-/// It answers what it is asked 300 us after a frame that answered nothing.
+/// The motor answers its first request 300 us after a frame that answered nothing.
 #[test]
-fn the_first_answer_of_a_motor_is_none_doubled() {
+fn first_answer_of_a_motor_is_not_taken_for_a_duplicate() {
     let mut master = Master::<2>::new(Config::CAN);
     let at = |micros| Instant::from_micros(micros);
     let asked = master.request(id(1), ReadMultiTurnAngle).unwrap();

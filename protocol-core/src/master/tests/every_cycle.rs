@@ -31,20 +31,20 @@ fn stopped_by(mut master: Master<16>, motors: u8, until: u64) -> MotorSet {
 }
 
 #[test]
-fn who_has_confirmed_a_stop_of_every_cycle_keeps_no_other_motors_first_stop_back_on_a_line() {
+fn on_rs485_cyclic_stop_of_confirmed_motors_delays_no_first_stop() {
     let master = Master::new(Config::rs485(1_000_000, false));
     // One to all and the pause after it, and an exchange with each: 5 ms and 2 ms.
     assert_eq!(stopped_by(master, 2, 20).len(), 2);
 }
 
 #[test]
-fn who_has_confirmed_a_stop_of_every_cycle_keeps_no_other_motors_first_stop_back() {
+fn on_can_cyclic_stop_of_confirmed_motors_delays_no_first_stop() {
     // Four a millisecond.
     assert_eq!(stopped_by(Master::new(Config::CAN), 16, 4).len(), 16);
 }
 
 #[test]
-fn a_stop_that_was_confirmed_once_is_tried_as_often_as_any_when_it_is_called_again() {
+fn confirmed_stop_called_again_has_all_fifteen_attempts() {
     let mut master = Master::<2>::new(Config::CAN);
     for _ in 0..2 {
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
@@ -54,16 +54,16 @@ fn a_stop_that_was_confirmed_once_is_tried_as_often_as_any_when_it_is_called_aga
     }
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     let mut attempts = 0;
-    let told = (1..1_000).find_map(|now| {
+    let reported = (1..1_000).find_map(|now| {
         attempts += sent(&mut master, ms(now)).len();
         events(&mut master, ms(now)).pop()
     });
-    assert_eq!((attempts, told), (15, Some(Event::StopUnconfirmed { motor: id(1) })));
+    assert_eq!((attempts, reported), (15, Some(Event::StopUnconfirmed { motor: id(1) })));
 }
 
-/// Motor 2 did not answer its last question: only that it was not told to stop yet brings it forward.
+/// Motor 2 did not answer its last request: only that it has got no stop yet brings it forward.
 #[test]
-fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
+fn shutdown_of_all_goes_first_to_the_motor_not_stopped_yet() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -79,7 +79,7 @@ fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
 /// What a line carries in 200 ms while `stop` calls for stops every millisecond, and another caller wants to switch
 /// motor 7 off and to move motor 8. Drives answer after 900 us; motor 2 is not there. Returns how often each was
 /// answered.
-fn answered_beside(stop: impl Fn(&mut Master<8>)) -> [u32; 8] {
+fn answered_during(stop: impl Fn(&mut Master<8>)) -> [u32; 8] {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
     let mut answered = [0; 8];
     for now in 0..200 {
@@ -104,14 +104,14 @@ fn answered_beside(stop: impl Fn(&mut Master<8>)) -> [u32; 8] {
 }
 
 #[test]
-fn a_stop_of_every_cycle_leaves_every_second_turn_on_a_line_to_others() {
-    let one = answered_beside(|master| master.stop(id(1), StopKind::Off).unwrap());
+fn on_rs485_cyclic_stop_leaves_every_second_turn_to_others() {
+    let one = answered_during(|master| master.stop(id(1), StopKind::Off).unwrap());
     // A turn a millisecond: the first stop, and then it has half of them.
     assert_eq!([one[0], one[6], one[7]], [101, 50, 49]);
 }
 
 #[test]
-fn a_stop_of_every_cycle_brings_no_broadcast_back_that_is_over() {
+fn cyclic_stop_does_not_resend_a_finished_broadcast() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
     let mut to_all = 0;
@@ -129,17 +129,17 @@ fn a_stop_of_every_cycle_brings_no_broadcast_back_that_is_over() {
 
 /// The broadcast is over, no matter which motors answer it, when the stop is called for the next time.
 #[test]
-fn a_stop_of_every_cycle_has_its_turn_beside_broadcasts_of_every_cycle() {
-    let both = answered_beside(|master| {
+fn cyclic_stop_gets_turns_during_cyclic_broadcasts() {
+    let both = answered_during(|master| {
         master.stop(id(1), StopKind::Off).unwrap();
         let _active = master.broadcast(ReadModel, MotorSet::EMPTY);
     });
     assert!(both[0] >= 10, "{both:?}");
 }
 
-/// Motor 1 may answer each of them yet, and does not.
+/// Motor 1 may answer each broadcast yet, and does not.
 #[test]
-fn beside_a_stop_of_every_cycle_a_broadcast_waits_for_the_answers_to_the_one_before_it() {
+fn broadcast_during_a_cyclic_stop_waits_for_answers_to_the_last_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let mut to_all = Vec::new();
     for now in 0..300 {
@@ -162,8 +162,8 @@ fn beside_a_stop_of_every_cycle_a_broadcast_waits_for_the_answers_to_the_one_bef
 
 /// The first call keeps the line for its fifteen attempts, of 5 ms each; each call after that for one in two turns.
 #[test]
-fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn() {
-    let dead = answered_beside(|master| master.stop(id(2), StopKind::Off).unwrap());
+fn cyclic_stop_of_an_absent_motor_leaves_turns_to_others() {
+    let dead = answered_during(|master| master.stop(id(2), StopKind::Off).unwrap());
     assert!(dead[6] >= 5 && dead[7] >= 5, "{dead:?}");
 }
 
@@ -205,7 +205,7 @@ fn of_every_cycle(
 }
 
 #[test]
-fn what_was_lost_is_not_owed_for_as_long_as_a_stop_is_called_in_every_cycle() {
+fn lost_answer_does_not_keep_a_cyclic_stop_unconfirmed() {
     let stop = |master: &mut Master<4>| master.stop(id(1), StopKind::Off).unwrap();
     let lift_and_stop = |master: &mut Master<4>| {
         master.lift_stop();
@@ -223,7 +223,7 @@ fn what_was_lost_is_not_owed_for_as_long_as_a_stop_is_called_in_every_cycle() {
 }
 
 #[test]
-fn a_stop_of_all_of_every_cycle_is_confirmed_on_a_line() {
+fn on_rs485_cyclic_stop_of_all_is_confirmed() {
     let all: MotorSet = (1..=4).map(id).collect();
     let stop = |master: &mut Master<4>| master.stop_all(StopKind::Off, all).unwrap();
     let line = Config::rs485(1_000_000, false);
@@ -248,10 +248,10 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_on_a_line() {
     }
 }
 
-/// Nothing moves them meanwhile: it is as if they were not lifted. One to all goes every 100 ms, and its answers, which
-/// may come, are waited for.
+/// Nothing moves the motors between two calls, so it is as if their stops were not lifted. One stop to all goes every
+/// 100 ms, and its answers, which may come, are waited for.
 #[test]
-fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
+fn on_rs485_stops_lifted_and_called_again_are_confirmed() {
     let all: MotorSet = (1..=3).map(id).collect();
     let lift_and_stop = |master: &mut Master<4>| {
         master.lift_stop();
@@ -267,8 +267,8 @@ fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
 
 /// One thread reads a motor's status while another stops it.
 #[test]
-fn a_request_that_a_stop_of_every_cycle_drops_takes_no_turn_of_others() {
-    let both = answered_beside(|master| {
+fn request_dropped_by_a_cyclic_stop_takes_no_turn_of_others() {
+    let both = answered_during(|master| {
         let _dropped = master.request(id(1), ReadMultiTurnAngle);
         master.stop(id(1), StopKind::Off).unwrap();
     });
@@ -297,20 +297,20 @@ fn called_again(kind: StopKind) -> Master<8> {
 }
 
 #[test]
-fn a_first_stop_goes_right_behind_one_that_was_called_again() {
+fn first_stop_is_sent_right_after_a_repeated_stop_of_another_motor() {
     let mut master = called_again(StopKind::Off);
     is_stopped_by_line(&mut master, 2, StopKind::Off, ms(2));
 }
 
 #[test]
-fn a_hold_that_becomes_an_off_goes_right_behind_one_that_was_called_again() {
+fn shutdown_in_place_of_a_repeated_hold_is_sent_before_a_set_point() {
     let mut master = called_again(StopKind::Hold);
     is_stopped_by_line(&mut master, 1, StopKind::Off, ms(2));
 }
 
-/// Also where the hold was given up.
+/// The hold was given up before the shutdown.
 #[test]
-fn a_hold_that_nobody_has_confirmed_and_that_becomes_an_off_is_no_stop_that_is_called_again() {
+fn shutdown_in_place_of_an_unconfirmed_hold_is_no_repeated_stop() {
     let mut master = called_again(StopKind::Hold);
     master.stop(id(2), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 2, 2);
@@ -320,9 +320,9 @@ fn a_hold_that_nobody_has_confirmed_and_that_becomes_an_off_is_no_stop_that_is_c
     assert_eq!(sent(&mut master, ms(now + 1)), [packet_to(2, Shutdown.encode())]);
 }
 
-/// It is held once more, though it has confirmed that before.
+/// The motor is held once more, though it has confirmed a hold before.
 #[test]
-fn a_hold_behind_what_all_were_told_is_no_stop_that_is_called_again() {
+fn hold_after_a_shutdown_to_all_is_no_repeated_stop() {
     let mut master = called_again(StopKind::Hold);
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
     says(&mut master, 8, TORQUE_REPLY, Instant::from_micros(2_900)).unwrap();
@@ -335,10 +335,10 @@ fn a_hold_behind_what_all_were_told_is_no_stop_that_is_called_again() {
     is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(32));
 }
 
-/// It was off before, and all are told the same, or asked something.
+/// The motor was off before, and neither broadcast changes that.
 #[test]
-fn a_stop_behind_the_same_for_all_or_a_question_to_all_is_one_that_is_called_again() {
-    fn goes_behind_a_set_point_after<C: Command>(to_all: C) {
+fn stop_after_a_shutdown_or_read_to_all_is_a_repeated_stop() {
+    fn follows_a_set_point_after<C: Command>(to_all: C) {
         let mut master = called_again(StopKind::Off);
         assert_eq!(sent(&mut master, ms(2)).len(), 1);
         says(&mut master, 8, TORQUE_REPLY, Instant::from_micros(2_900)).unwrap();
@@ -351,13 +351,13 @@ fn a_stop_behind_the_same_for_all_or_a_question_to_all_is_one_that_is_called_aga
         master.stop(id(1), StopKind::Off).unwrap();
         assert_eq!(sent(&mut master, ms(31)), [packet_to(8, torque(1.0).encode())], "{data:?}");
     }
-    goes_behind_a_set_point_after(Shutdown);
-    goes_behind_a_set_point_after(ReadModel);
+    follows_a_set_point_after(Shutdown);
+    follows_a_set_point_after(ReadModel);
 }
 
-/// Motors 2 and 4 are off, and called again; motor 1 is held, and was asked something since motor 2 was.
+/// Motors 2 and 4 are off, and stopped again; motor 1 is held, and was asked something since motor 2 was.
 #[test]
-fn a_stop_that_is_news_gives_its_turn_to_nobody_behind_those_that_are_called_again() {
+fn new_stop_gives_no_turn_away_after_repeated_stops() {
     let mut master = called_again(StopKind::Hold);
     for at in [2, 3] {
         master.set_point(id(8), torque(1.0), ms(at)).unwrap();
@@ -379,7 +379,7 @@ fn a_stop_that_is_news_gives_its_turn_to_nobody_behind_those_that_are_called_aga
 }
 
 #[test]
-fn who_restarts_is_left_alone_beside_a_stop_that_is_called_again() {
+fn repeated_stop_gives_no_turn_to_a_restarting_motor() {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
     let _reset = ask(&mut master, 8, Reset, ms(0));
     events(&mut master, ms(0));
@@ -391,7 +391,7 @@ fn who_restarts_is_left_alone_beside_a_stop_that_is_called_again() {
 }
 
 #[test]
-fn what_all_are_asked_has_its_turn_beside_a_stop_that_is_called_again() {
+fn repeated_stop_gives_its_turn_to_a_broadcast() {
     let mut master = called_again(StopKind::Off);
     master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -401,7 +401,7 @@ fn what_all_are_asked_has_its_turn_beside_a_stop_that_is_called_again() {
 /// A cable is out, and nothing is answered: neither what moves the motor `before` a stop, nor that stop, nor what moves
 /// it `behind` it, after it was lifted. Then each stop is answered after a millisecond, with nothing else on the bus.
 /// Returns after how many ms each stop is sent until one is confirmed.
-fn sent_behind_a_cut(
+fn sent_after_a_cut(
     before: impl Fn(&mut Master<2>, Instant),
     behind: impl Fn(&mut Master<2>, Instant),
 ) -> Vec<u64> {
@@ -431,10 +431,10 @@ fn sent_behind_a_cut(
     panic!("no stop is confirmed: {sendings:?}");
 }
 
-/// If it was moved since the last stop, half of the attempts go at once, and one 61 ms after the last of these. If
-/// something may be in a mailbox, the answer to that one shows that it leaves now, and the last goes 41 ms later.
+/// If the motor was moved since the last stop, half of the attempts go at once, and one 61 ms after the last of these.
+/// If something may be in a mailbox, the answer to that one shows that it leaves now, and the last goes 41 ms later.
 #[test]
-fn a_stop_that_waits_for_what_is_owed_waits_for_no_sign_of_a_bus_that_nobody_else_uses() {
+fn stop_after_a_cut_is_confirmed_without_other_traffic_on_the_bus() {
     let set_point = |master: &mut Master<2>, now| {
         master.set_point(id(1), torque(1.0), now).unwrap();
     };
@@ -444,15 +444,15 @@ fn a_stop_that_waits_for_what_is_owed_waits_for_no_sign_of_a_bus_that_nobody_els
     let nothing = |_: &mut Master<2>, _| {};
     let at_once_and = |then: &[u64]| [&[1, 2, 3, 4, 5, 6, 7, 8], then].concat();
     // Nothing could undo that stop: it goes on.
-    assert_eq!(sent_behind_a_cut(nothing, nothing), [1]);
-    assert_eq!(sent_behind_a_cut(all, nothing), [1, 63]);
-    assert_eq!(sent_behind_a_cut(nothing, set_point), at_once_and(&[70, 112]));
-    assert_eq!(sent_behind_a_cut(nothing, all), at_once_and(&[70, 112]));
+    assert_eq!(sent_after_a_cut(nothing, nothing), [1]);
+    assert_eq!(sent_after_a_cut(all, nothing), [1, 63]);
+    assert_eq!(sent_after_a_cut(nothing, set_point), at_once_and(&[70, 112]));
+    assert_eq!(sent_after_a_cut(nothing, all), at_once_and(&[70, 112]));
 }
 
-/// A motor without a place may have missed the first.
+/// A motor without a place may have missed the first one.
 #[test]
-fn the_stop_to_all_of_a_line_goes_again_every_100_ms_while_it_is_called_in_every_cycle() {
+fn on_rs485_cyclic_stop_to_all_is_sent_every_100_ms() {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
     let mut to_all = Vec::new();
     for now in 0..250 {
@@ -471,7 +471,7 @@ fn the_stop_to_all_of_a_line_goes_again_every_100_ms_while_it_is_called_in_every
 }
 
 #[test]
-fn a_stop_to_all_gives_its_turn_to_nobody() {
+fn stop_to_all_gives_no_turn_away() {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
     is_stopped_by_line(&mut master, 1, StopKind::Off, ms(0));
     is_stopped_by_line(&mut master, 1, StopKind::Off, ms(1));
@@ -480,17 +480,17 @@ fn a_stop_to_all_gives_its_turn_to_nobody() {
     assert_eq!(sent(&mut master, ms(2)), [packet_to_all(Shutdown.encode())]);
 }
 
-/// It holds nothing any more.
+/// After a restart the motor holds nothing.
 #[test]
-fn a_hold_behind_a_restart_is_no_stop_that_is_called_again() {
+fn hold_after_a_restart_is_no_repeated_stop() {
     let mut master = called_again(StopKind::Hold);
     master.note_restart(id(1));
     is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(2));
 }
 
-/// Each answer comes with the next call, so that a stop is always under way.
+/// Each answer comes with the next call, so that a stop is always in flight.
 #[test]
-fn a_broadcast_and_requests_go_beside_a_stop_of_every_cycle() {
+fn broadcast_and_requests_are_sent_during_a_cyclic_stop() {
     let mut master = Master::<4>::new(Config::CAN);
     let (mut is_broadcast, mut is_asked) = (false, false);
     for now in 0..100 {
@@ -514,7 +514,7 @@ fn a_broadcast_and_requests_go_beside_a_stop_of_every_cycle() {
 /// All are asked again and again, and one of them never answers, or none is expected to. Motor 1 streams, answers after
 /// 900 us, and is asked for something once.
 #[test]
-fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
+fn request_gets_its_turn_during_cyclic_broadcasts() {
     for expected in [[1, 2].map(id).into_iter().collect(), id(1).into(), MotorSet::EMPTY] {
         let mut master = Master::<2>::new(Config::CAN);
         let _unheard = master.request(id(2), ReadModel).unwrap();
@@ -546,9 +546,9 @@ fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
     }
 }
 
-/// One that a controller has handed back made way for a more urgent frame. That it did is over with it, too.
+/// Not even where a controller has handed the broadcast back once.
 #[test]
-fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_is_over() {
+fn repeated_stop_gives_no_turn_to_a_finished_broadcast() {
     for is_handed_back in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
@@ -571,7 +571,7 @@ fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_is_over() {
 
 /// The broadcast waits for a read that was given up, of which the answer may still come.
 #[test]
-fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_may_not_go() {
+fn repeated_stop_gives_no_turn_to_a_broadcast_that_must_wait() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -584,9 +584,9 @@ fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_may_not_go() {
     }
 }
 
-/// Which was asked nothing while the other had 2,000 turns.
+/// The absent motor was sent nothing while the other had 2,000 turns.
 #[test]
-fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_every_cycle() {
+fn stream_goes_on_while_an_absent_motor_is_stopped_anew_in_every_cycle() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut shares = [0; 2];
     for now in 0..3_000 {
@@ -607,10 +607,10 @@ fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_ever
     assert!(shares[1] > 200, "{shares:?}");
 }
 
-/// It is called when the last attempt of the one before has been sent, and is reported as unconfirmed only after an
-/// attempt of its own. If it is called in every cycle, there are as many attempts again and no more.
+/// The later stop is reported as unconfirmed only after an attempt of its own. If it is called in every cycle, there
+/// are as many attempts again and no more.
 #[test]
-fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is_given_up() {
+fn stop_called_after_the_last_attempt_of_an_earlier_one_is_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let attempts = (0..).scan(0, |count, now| {
@@ -624,19 +624,19 @@ fn a_stop_that_is_called_behind_the_last_attempt_of_another_is_sent_before_it_is
     let sent_at = (now..).find(|&now| !sent(&mut master, ms(now)).is_empty()).unwrap();
     assert!(sent_at - now <= 25, "{sent_at} {now}");
     let mut count = 16;
-    let told = (sent_at..sent_at + 2_000).find(|&now| {
+    let reported = (sent_at..sent_at + 2_000).find(|&now| {
         master.stop(id(1), StopKind::Off).unwrap();
-        let told = events(&mut master, ms(now));
+        let reported = events(&mut master, ms(now));
         count += sent(&mut master, ms(now)).len();
-        told.contains(&Event::StopUnconfirmed { motor: id(1) })
+        reported.contains(&Event::StopUnconfirmed { motor: id(1) })
     });
-    assert!(told.is_some());
+    assert!(reported.is_some());
     assert_eq!(count, 30);
 }
 
 /// The caller need not look at the time more often than `poll_at` says.
 #[test]
-fn when_a_stop_that_gives_way_to_what_all_are_told_may_go_is_said() {
+fn poll_at_returns_when_a_stop_that_waits_for_a_broadcast_may_go() {
     let mut master = Master::<2>::new(Config::CAN);
     let stop = [packet_to(1, Shutdown.encode())];
     master.stop(id(1), StopKind::Off).unwrap();

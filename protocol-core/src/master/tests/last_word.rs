@@ -1,5 +1,5 @@
-//! Calls in any order, to motors that hear or do not. No motor is switched on that was last told to be off, and a motor
-//! that has confirmed no stop gets it again.
+//! Calls in any order, to motors that hear or do not. No motor is switched on that was last commanded to be off, and a
+//! motor that has confirmed no stop gets it again.
 
 use super::*;
 
@@ -16,9 +16,9 @@ impl Random {
     }
 }
 
-/// What a motor was told, and what is known of it.
+/// What a motor was commanded, and what is known of it.
 #[derive(Clone, Copy, Default)]
-struct Told {
+struct Commanded {
     /// The last word was to be off, not to be held or to move.
     off: bool,
     /// A stop that is in force was to be off.
@@ -29,7 +29,7 @@ struct Told {
     due: Option<u64>,
 }
 
-impl Told {
+impl Commanded {
     fn stop(&mut self, kind: StopKind) {
         self.off_in_force |= kind == StopKind::Off;
         self.off = self.off_in_force;
@@ -44,7 +44,7 @@ impl Told {
 struct Run {
     master: Master<4>,
     random: Random,
-    told: [Told; MOTORS],
+    commanded: [Commanded; MOTORS],
     all_stopped: bool,
     now: u64,
     answers: Vec<(u64, MotorId, Data)>,
@@ -69,51 +69,53 @@ impl Run {
         let kind = if self.random.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
         let call = self.random.below(14);
         self.calls.push(std::format!("{}: {call} for motor {}, {kind:?}", self.now, of + 1));
-        let (master, told) = (&mut self.master, &mut self.told);
+        let (master, commanded) = (&mut self.master, &mut self.commanded);
         match call {
             0 | 1 => {
                 master.stop(motor(of), kind).unwrap();
-                told[of].stop(kind);
-                told[of].stopped = true;
+                commanded[of].stop(kind);
+                commanded[of].stopped = true;
             }
             2 => {
                 master.stop_all(kind, MotorSet::EMPTY).unwrap();
                 let is_off_for_all = master.config().is_rs485() && kind == StopKind::Off;
-                for (of, told) in told.iter_mut().enumerate() {
+                for (of, commanded) in commanded.iter_mut().enumerate() {
                     if is_off_for_all || master.motors().contains(motor(of)) {
-                        told.stop(kind);
+                        commanded.stop(kind);
                     }
                 }
                 self.all_stopped = true;
             }
             3 => {
                 master.lift_stop();
-                for told in told {
-                    told.lift();
-                    told.stopped = false;
+                for commanded in commanded {
+                    commanded.lift();
+                    commanded.stopped = false;
                 }
                 self.all_stopped = false;
             }
             4 => {
                 master.lift_stop_of(motor(of));
-                told[of].stopped = false;
+                commanded[of].stopped = false;
                 if !self.all_stopped {
-                    told[of].lift();
+                    commanded[of].lift();
                 }
             }
-            5 if master.forget(motor(of)) => told[of].due = None,
+            5 if master.forget(motor(of)) => commanded[of].due = None,
             6 if master.request(motor(of), Shutdown).is_ok() => {
-                (told[of].off, told[of].due) = (true, None);
+                (commanded[of].off, commanded[of].due) = (true, None);
             }
             7 if master.request(motor(of), Stop).is_ok() => {
-                (told[of].off, told[of].due) = (false, None);
+                (commanded[of].off, commanded[of].due) = (false, None);
             }
             8 => drop(master.request(motor(of), ReadMultiTurnAngle)),
             9 if master.broadcast(Shutdown, MotorSet::EMPTY).is_ok() => {
-                told.iter_mut().for_each(|told| told.off = true);
+                commanded.iter_mut().for_each(|commanded| commanded.off = true);
             }
-            10 if master.set_point(motor(of), torque(1.0), now).is_ok() => told[of].off = false,
-            11 => told[of].hears = !told[of].hears,
+            10 if master.set_point(motor(of), torque(1.0), now).is_ok() => {
+                commanded[of].off = false
+            }
+            11 => commanded[of].hears = !commanded[of].hears,
             12 => master.handle_bus_down(now),
             13 => self.answers.push((self.now, motor(of), ANGLE_REPLY)),
             _ => {}
@@ -131,19 +133,22 @@ impl Run {
         for event in events(&mut self.master, now) {
             match event {
                 Event::StopUnconfirmed { motor } => {
-                    let told = &mut self.told[index(motor)];
-                    told.due = (told.stopped || self.all_stopped).then_some(self.now + SOON);
+                    let commanded = &mut self.commanded[index(motor)];
+                    commanded.due =
+                        (commanded.stopped || self.all_stopped).then_some(self.now + SOON);
                 }
                 // That was no word.
                 Event::BroadcastDone { was_sent: false, .. } => {
-                    self.told.iter_mut().for_each(|told| told.off &= told.off_in_force);
+                    self.commanded
+                        .iter_mut()
+                        .for_each(|commanded| commanded.off &= commanded.off_in_force);
                 }
                 Event::Failed {
                     ticket,
                     failure: Failure::BusDown | Failure::Stopped | Failure::StopUnconfirmed,
                 } => {
-                    let told = &mut self.told[index(ticket.motor())];
-                    told.off &= told.off_in_force;
+                    let commanded = &mut self.commanded[index(ticket.motor())];
+                    commanded.off &= commanded.off_in_force;
                 }
                 _ => {}
             }
@@ -155,13 +160,13 @@ impl Run {
                 self.master.handle_pushed_out(&packet);
             }
             let Channel::Command(Target::Motor(to)) = packet.channel else { continue };
-            let told = &mut self.told[index(to)];
+            let commanded = &mut self.commanded[index(to)];
             let is_hold = packet.data == Stop.encode();
-            assert!(!(is_hold && told.off), "motor {to} is to be off: {:#?}", self.calls);
+            assert!(!(is_hold && commanded.off), "motor {to} is to be off: {:#?}", self.calls);
             if is_hold || packet.data == Shutdown.encode() {
-                told.due = told.due.map(|_| self.now + SOON);
+                commanded.due = commanded.due.map(|_| self.now + SOON);
             }
-            if told.hears && !is_handed_back {
+            if commanded.hears && !is_handed_back {
                 let answer = match packet.data[0] {
                     0x92 => ANGLE_REPLY,
                     0xA1 => TORQUE_REPLY,
@@ -170,7 +175,10 @@ impl Run {
                 self.answers.push((self.now + 1, to, answer));
             }
         }
-        let late = self.told.iter().position(|told| told.due.is_some_and(|due| due < self.now));
+        let late = self
+            .commanded
+            .iter()
+            .position(|commanded| commanded.due.is_some_and(|due| due < self.now));
         assert_eq!(late.map(motor), None, "no stop for {SOON} ms: {:#?}", self.calls);
         self.now += 1;
     }
@@ -188,19 +196,19 @@ impl Run {
             _ => false,
         };
         if event.is_some_and(ends) {
-            self.told[index(from)].due = None;
+            self.commanded[index(from)].due = None;
         }
     }
 }
 
 #[test]
-fn nobody_is_switched_on_who_was_told_last_to_be_off_and_who_confirms_no_stop_gets_it_again() {
+fn motor_last_shut_down_stays_off_and_unconfirmed_stop_is_repeated() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         for seed in 0..2_000 {
             let mut run = Run {
                 master: Master::new(config),
                 random: Random(seed),
-                told: [Told::default(); MOTORS],
+                commanded: [Commanded::default(); MOTORS],
                 all_stopped: false,
                 now: 0,
                 answers: Vec::new(),

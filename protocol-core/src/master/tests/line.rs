@@ -20,7 +20,7 @@ fn rs485_carries_one_exchange_at_a_time() {
 }
 
 #[test]
-fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
+fn on_rs485_nothing_is_sent_while_an_unwanted_answer_may_come() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     let faster = SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K };
     let _set = master.request(id(1), faster).unwrap();
@@ -31,7 +31,7 @@ fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
 }
 
 #[test]
-fn on_a_line_feedback_that_is_lost_holds_the_others_up_for_three_usual_times_and_no_longer() {
+fn lost_feedback_holds_the_line_for_three_usual_response_times() {
     let config = Config::rs485(1_000_000, false);
     let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
     let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0];
@@ -68,7 +68,7 @@ fn on_a_line_feedback_that_is_lost_holds_the_others_up_for_three_usual_times_and
 }
 
 #[test]
-fn a_stop_waits_for_another_motors_patient_exchange_for_50_ms_and_no_less() {
+fn stop_waits_50_ms_for_another_motors_patient_exchange() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let patient = Patience { reply_timeout: Duration::from_millis(200), attempts: 1 };
     let _ = master.request_with(id(1), ReadModel, patient).unwrap();
@@ -80,9 +80,9 @@ fn a_stop_waits_for_another_motors_patient_exchange_for_50_ms_and_no_less() {
     assert_eq!(sent(&mut master, ms(50)).len(), 1);
 }
 
-/// Only this stops motors that were not named, and the line keeps the order: motor 1 is off in the end.
+/// Only the hold to all stops motors that were not named, and the line keeps the order: motor 1 is off in the end.
 #[test]
-fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_later() {
+fn waiting_hold_to_all_is_sent_before_a_later_shutdown_of_one_motor() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -92,7 +92,7 @@ fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_l
 }
 
 #[test]
-fn a_stop_waits_for_a_patient_question_to_all_for_50_ms() {
+fn stop_waits_at_most_60_ms_for_a_patient_broadcast() {
     let config =
         Config { reply_timeout: Duration::from_millis(1_000), ..Config::rs485(1_000_000, false) };
     let mut master = Master::<2>::new(config);
@@ -104,7 +104,7 @@ fn a_stop_waits_for_a_patient_question_to_all_for_50_ms() {
 }
 
 #[test]
-fn who_fills_the_line_holds_no_stop_up_behind_a_patient_question_either() {
+fn frames_that_fill_the_line_delay_no_stop_after_a_patient_read() {
     let config = Config {
         reply_timeout: Duration::from_millis(1_000),
         bus: Bus::Rs485 { turnaround: Duration::from_millis(1), echo: false },
@@ -125,7 +125,7 @@ fn who_fills_the_line_holds_no_stop_up_behind_a_patient_question_either() {
 }
 
 #[test]
-fn who_is_forgotten_while_its_stop_is_on_the_line_may_answer_yet() {
+fn line_waits_for_the_stop_answer_of_a_motor_forgotten_meanwhile() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let _ = master.stop(id(1), StopKind::Hold);
     let mut t = 0;
@@ -156,7 +156,7 @@ fn status_goes_first(master: &mut Master<4>, at: Instant) {
 }
 
 #[test]
-fn a_status_that_the_transport_wants_is_nobodys_and_nothing_goes_until_it_is_answered() {
+fn status_for_the_transport_is_not_reported_and_keeps_the_line() {
     let config = Config::rs485(1_000_000, false);
     let line = |data| Frame { address: Target::Motor(id(1)), data };
     let mut master = Master::<4>::new(config);
@@ -188,7 +188,7 @@ fn a_status_that_the_transport_wants_is_nobodys_and_nothing_goes_until_it_is_ans
 }
 
 #[test]
-fn only_the_first_attempt_of_a_stop_waits_for_no_status() {
+fn only_the_first_attempt_of_a_stop_is_offered_as_first_stop() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(master.poll_transmit(ms(0)).unwrap().data[0], 0x81);
@@ -201,7 +201,7 @@ fn only_the_first_attempt_of_a_stop_waits_for_no_status() {
 }
 
 #[test]
-fn no_status_goes_first_that_the_caller_asks_for_or_whose_answer_has_no_place() {
+fn status_is_not_put_first_if_requested_or_without_room_for_its_answer() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let _read = master.request(id(1), ReadStatus1).unwrap();
@@ -224,7 +224,7 @@ fn no_status_goes_first_that_the_caller_asks_for_or_whose_answer_has_no_place() 
 }
 
 #[test]
-fn what_comes_late_to_the_transport_is_over_in_time() {
+fn late_window_of_the_transports_status_ends_in_time() {
     let config = Config { late_window: ms(9) - ms(0), ..Config::rs485(1_000_000, false) };
     let mut master = Master::<4>::new(config);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -237,9 +237,9 @@ fn what_comes_late_to_the_transport_is_over_in_time() {
     assert!(master.poll_at().unwrap() > over);
 }
 
-/// The first was never answered, the second comes late and says so.
+/// The first move was never answered; the second is answered late.
 #[test]
-fn what_was_over_when_a_stop_was_confirmed_keeps_no_later_stop_back() {
+fn lost_move_before_a_confirmed_stop_leaves_no_later_stop_in_doubt() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let answer = |master: &mut Master<2>, data, at| {
         master.handle_line(&Frame { address: Target::Motor(id(1)), data }, at)
@@ -261,7 +261,7 @@ fn what_was_over_when_a_stop_was_confirmed_keeps_no_later_stop_back() {
 }
 
 #[test]
-fn on_a_line_a_set_point_waits_for_the_answers_to_a_question_to_all() {
+fn on_rs485_set_point_waits_for_the_answers_to_a_broadcast_read() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -289,7 +289,7 @@ fn is_moved_and_stopped_in_vain(master: &mut Master<2>, at: u64) {
 
 /// An adapter may hold the answer to the stop to all back, so that it comes after that to the motor's own.
 #[test]
-fn on_a_line_the_answer_to_a_stop_to_all_confirms_neither_the_stop_nor_a_later_one() {
+fn on_rs485_answer_to_a_stop_to_all_confirms_no_stop_of_the_motor() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     let frames: Vec<Packet> = (0..7).flat_map(|now| sent(&mut master, ms(now))).collect();
@@ -303,9 +303,9 @@ fn on_a_line_the_answer_to_a_stop_to_all_confirms_neither_the_stop_nor_a_later_o
     assert_eq!(off(&mut master, 13), confirmed(1));
 }
 
-/// What is answered at once costs no second stop.
+/// An answer to the stop to all that comes at once costs no second stop.
 #[test]
-fn on_a_line_the_answer_to_a_stop_to_all_may_come_before_the_motors_own_stop() {
+fn on_rs485_answer_to_a_stop_to_all_may_precede_the_motors_own_stop() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
@@ -316,7 +316,7 @@ fn on_a_line_the_answer_to_a_stop_to_all_may_come_before_the_motors_own_stop() {
 
 /// Each of several sendings has its whole time, whichever is answered first.
 #[test]
-fn on_a_line_the_answer_to_another_sending_confirms_no_later_stop() {
+fn on_rs485_answer_to_an_earlier_sending_confirms_no_later_stop() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -329,7 +329,7 @@ fn on_a_line_the_answer_to_another_sending_confirms_no_later_stop() {
 }
 
 #[test]
-fn a_request_with_as_many_attempts_as_a_stop_is_none() {
+fn request_with_fifteen_attempts_is_not_taken_for_a_stop() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     let often = Patience { reply_timeout: Duration::from_millis(5), attempts: 15 };
     let _ = master.request_with(id(1), ReadModel, often).unwrap();
@@ -337,9 +337,9 @@ fn a_request_with_as_many_attempts_as_a_stop_is_none() {
     assert!(!master.offers_first_stop());
 }
 
-/// The line keeps the order: what was late came before the set-point that was answered.
+/// The line keeps the order: the set-point that was lost came before the one that was answered.
 #[test]
-fn on_a_line_feedback_keeps_no_stop_in_doubt() {
+fn on_rs485_feedback_ends_the_doubt_about_earlier_set_points() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let answer = |master: &mut Master<2>, data, at| {
         master.handle_line(&Frame { address: Target::Motor(id(1)), data }, at)
@@ -356,9 +356,9 @@ fn on_a_line_feedback_keeps_no_stop_in_doubt() {
     assert_eq!(answer(&mut master, Shutdown.encode(), ms(19)), confirmed(1));
 }
 
-/// Motor 1 is to be off, so that what holds all goes to motor 2 individually.
+/// Motor 1 is to be off, so that the hold to all goes to motor 2 individually.
 #[test]
-fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
+fn on_rs485_individual_hold_waits_for_the_answer_to_a_read() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -373,9 +373,9 @@ fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
     assert_eq!(sent(&mut master, ms(7)), [packet_to(2, Stop.encode())]);
 }
 
-/// Motor 1 has confirmed that it is held. That it is to be off now delays no motor that was not told to stop yet.
+/// Motor 1 has confirmed a hold; switching it off delays no motor that has got no stop yet.
 #[test]
-fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
+fn first_stop_is_sent_before_the_second_stop_of_another_motor() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let hold = |motor| Frame { address: Target::Motor(id(motor)), data: Stop.encode() };
     master.stop(id(1), StopKind::Hold).unwrap();
@@ -386,9 +386,9 @@ fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
     assert_eq!(sent(&mut master, ms(2)), [packet_to(2, Shutdown.encode())]);
 }
 
-/// It came too late to be an answer, but it came.
+/// Its answer came too late to count, but it came.
 #[test]
-fn who_was_heard_since_it_was_asked_is_stopped_before_who_was_not() {
+fn motor_heard_since_its_request_is_stopped_before_a_silent_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let _ = master.request_with(id(1), ReadMultiTurnAngle, once(2)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -402,9 +402,9 @@ fn who_was_heard_since_it_was_asked_is_stopped_before_who_was_not() {
     assert_eq!(stops, [packet_to_all(Stop.encode()), packet_to(2, Stop.encode())]);
 }
 
-/// It was confirmed, or given up, and is called for once more while a patient question of another is under way.
+/// The stop was confirmed or given up before, and is called for once more during the request.
 #[test]
-fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
+fn repeated_stop_waits_50_ms_for_another_motors_patient_request() {
     for is_given_up_before in [false, true] {
         let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
         let mut asked_at = 10;
@@ -422,15 +422,15 @@ fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
         master.stop(id(1), StopKind::Off).unwrap();
         let goes =
             |now: &u64| sent(&mut master, ms(*now)).contains(&packet_to(1, Shutdown.encode()));
-        let told_at = (asked_at + 1..asked_at + 200).find(goes);
+        let sent_at = (asked_at + 1..asked_at + 200).find(goes);
         // Its time is up after 50 ms.
-        assert_eq!(told_at, Some(asked_at + 50), "{is_given_up_before}");
+        assert_eq!(sent_at, Some(asked_at + 50), "{is_given_up_before}");
     }
 }
 
 /// When motor 2 confirms its stop, 1 ms from now or later, while motor 1 is let go and stopped anew every millisecond
 /// and answers after 900 us.
-fn confirms_beside_one_that_is_stopped_anew(master: &mut Master<2>, from: u64) -> Option<u64> {
+fn confirms_while_another_is_stopped_anew(master: &mut Master<2>, from: u64) -> Option<u64> {
     (from + 1..from + 1_000).find(|&now| {
         master.lift_stop_of(id(1));
         master.stop(id(1), StopKind::Off).unwrap();
@@ -444,17 +444,17 @@ fn confirms_beside_one_that_is_stopped_anew(master: &mut Master<2>, from: u64) -
 }
 
 #[test]
-fn a_stop_that_was_lost_goes_again_though_another_motor_is_stopped_anew_in_every_cycle() {
+fn lost_stop_is_resent_though_another_motor_is_stopped_in_every_cycle() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(2), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)), [packet_to(2, Shutdown.encode())]);
     // Behind the time-out of the first.
-    assert_eq!(confirms_beside_one_that_is_stopped_anew(&mut master, 0), Some(7));
+    assert_eq!(confirms_while_another_is_stopped_anew(&mut master, 0), Some(7));
 }
 
 /// Motor 2 seems dead, and is not known to be alive.
 #[test]
-fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every_cycle() {
+fn motor_with_lost_answers_is_stopped_during_cyclic_stops_of_another() {
     for lost in 1..4 {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
         let mut now = 0;
@@ -467,14 +467,14 @@ fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every
         master.stop(id(1), StopKind::Off).unwrap();
         assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
         master.stop(id(2), StopKind::Off).unwrap();
-        let at = confirms_beside_one_that_is_stopped_anew(&mut master, now);
+        let at = confirms_while_another_is_stopped_anew(&mut master, now);
         assert_eq!(at, Some(now + 6), "{lost} answers were lost");
     }
 }
 
-/// The last one went less than 100 ms ago; but motor 1 was moved since.
+/// The last stop to all was sent less than 100 ms ago, but motor 1 was moved since.
 #[test]
-fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
+fn stop_to_all_is_sent_at_once_if_a_motor_was_moved_since_the_last() {
     for is_moved in [false, true] {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
         let says = |master: &mut Master<2>, data, at| {
@@ -485,9 +485,9 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
         master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
         assert_eq!(sent(&mut master, ms(10)), [packet_to_all(Shutdown.encode())]);
         // Its first answer may be that to the one to all.
-        for (at, told) in [(17, None), (19, confirmed(1))] {
+        for (at, expected) in [(17, None), (19, confirmed(1))] {
             assert_eq!(sent(&mut master, ms(at)), [packet_to(1, Shutdown.encode())]);
-            assert_eq!(says(&mut master, Shutdown.encode(), at + 1), told);
+            assert_eq!(says(&mut master, Shutdown.encode(), at + 1), expected);
         }
         master.lift_stop();
         if is_moved {
@@ -501,9 +501,9 @@ fn a_stop_to_all_goes_at_once_where_anybody_was_moved_since_the_last() {
     }
 }
 
-/// The port takes nothing meanwhile, so motors without a place have not heard it yet.
+/// The port takes nothing meanwhile, so motors without a place have not heard the stop yet.
 #[test]
-fn a_stop_to_all_that_waits_goes_also_where_it_was_lifted_and_all_are_stopped_again() {
+fn waiting_stop_to_all_is_sent_though_lifted_and_called_again() {
     for (kind, data) in [(StopKind::Off, Shutdown.encode()), (StopKind::Hold, Stop.encode())] {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
         master.stop_all(kind, id(1).into()).unwrap();
@@ -523,9 +523,9 @@ fn a_stop_to_all_that_waits_goes_also_where_it_was_lifted_and_all_are_stopped_ag
     }
 }
 
-/// Motor 2 is moved, or forgotten, and then nothing else tells it to stop; motor 1 is as it was.
+/// Nothing else tells motor 2 to stop; motor 1 is as it was.
 #[test]
-fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_last() {
+fn stop_to_all_is_sent_at_once_if_one_of_two_was_moved_or_forgotten() {
     for (is_moved, is_forgotten) in [(false, false), (true, false), (false, true)] {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
         let says = |master: &mut Master<2>, address, data, now| {
@@ -559,10 +559,10 @@ fn a_stop_to_all_goes_at_once_where_one_of_two_was_moved_or_forgotten_since_the_
     }
 }
 
-/// On CAN, what a stop takes the place of may come as late as that. Here nothing is under way any more when the stop
-/// is sent.
+/// On CAN, an exchange that a stop takes the place of may be answered as late as the stop. Here nothing is in flight
+/// any more when the stop is sent.
 #[test]
-fn on_a_line_a_late_reply_is_waited_for_no_longer_because_of_a_stop() {
+fn on_rs485_stop_does_not_extend_the_late_window_of_a_read() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);

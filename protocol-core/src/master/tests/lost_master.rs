@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn the_echo_of_a_drive_that_lost_its_master_is_no_answer() {
+fn echo_of_a_drive_that_lost_its_master_is_no_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let lost = reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
@@ -62,7 +62,7 @@ fn the_echo_of_an_ignored_set_point_that_was_given_up_is_no_feedback() {
 }
 
 #[test]
-fn a_drive_that_lost_its_master_before_it_was_known_ignores_its_first_command() {
+fn unknown_drive_that_lost_its_master_ignores_its_first_command() {
     let mut master = Master::<2>::new(Config::CAN);
     let lost = reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0));
     assert_eq!(lost, Some(Event::LostMaster { motor: id(1) }));
@@ -74,7 +74,7 @@ fn a_drive_that_lost_its_master_before_it_was_known_ignores_its_first_command() 
 }
 
 #[test]
-fn a_stop_that_a_drive_has_ignored_goes_again_also_after_its_last_attempt() {
+fn stop_ignored_after_its_last_attempt_is_sent_once_more() {
     let mut master = Master::<2>::new(Config::CAN);
     reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -98,7 +98,7 @@ fn a_stop_that_a_drive_has_ignored_goes_again_also_after_its_last_attempt() {
 }
 
 #[test]
-fn an_ignored_command_goes_once_more_only_if_that_is_harmless_and_attempts_are_left() {
+fn ignored_command_is_resent_only_if_harmless_and_attempts_are_left() {
     let twice = Patience { attempts: 2, ..once(5) };
     let not_executed = Failure::NotExecuted;
     let mut master = Master::<2>::new(Config::CAN);
@@ -118,7 +118,7 @@ fn an_ignored_command_goes_once_more_only_if_that_is_harmless_and_attempts_are_l
 }
 
 #[test]
-fn a_motor_that_was_forgotten_ignores_its_first_command_all_the_same() {
+fn forgotten_motor_that_lost_its_master_ignores_its_first_command() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -130,7 +130,7 @@ fn a_motor_that_was_forgotten_ignores_its_first_command_all_the_same() {
 }
 
 #[test]
-fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignored_it() {
+fn answer_with_values_after_a_lost_master_is_not_ignored() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
@@ -151,7 +151,7 @@ fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignor
 
 /// A master that starts between two of a drive's messages has not heard that the drive has lost its master.
 #[test]
-fn the_echo_of_what_moves_is_no_answer_whoever_has_heard_of_a_lost_master() {
+fn echo_of_a_move_is_no_answer_though_no_lost_master_was_reported() {
     let mut master = Master::<2>::new(Config::CAN);
     let moved = ask(&mut master, 1, step(), ms(0));
     // It would be feedback of 0 degrees Celsius and 1 A.
@@ -166,7 +166,7 @@ fn the_echo_of_what_moves_is_no_answer_whoever_has_heard_of_a_lost_master() {
 }
 
 #[test]
-fn an_answer_that_may_well_be_the_command_is_one() {
+fn answer_that_may_equal_its_command_counts() {
     let mut master = Master::<2>::new(Config::CAN);
     // At rest, at 0 degrees and 0 degrees Celsius.
     master.set_point(id(1), torque(0.0), ms(0)).unwrap();
@@ -181,7 +181,7 @@ fn an_answer_that_may_well_be_the_command_is_one() {
 }
 
 #[test]
-fn what_all_are_told_and_a_drive_has_ignored_is_no_answer() {
+fn echo_of_an_ignored_broadcast_is_no_answer() {
     // Whether its message was heard, or shows by values that are those of the command.
     let heard = |master: &mut Master<2>| {
         reply(master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(10)).unwrap();
@@ -193,17 +193,20 @@ fn what_all_are_told_and_a_drive_has_ignored_is_no_answer() {
         if is_heard {
             heard(&mut master);
         }
-        let told = if is_value { torque(1.0).encode() } else { Shutdown.encode() };
+        let echo = if is_value { torque(1.0).encode() } else { Shutdown.encode() };
         match is_value {
             true => master.broadcast(torque(1.0), id(1).into()).unwrap(),
             false => master.broadcast(Shutdown, id(1).into()).unwrap(),
         }
         assert_eq!(sent(&mut master, ms(11)).len(), 1);
-        let event = reply(&mut master, 1, told, ms(12));
+        let event = reply(&mut master, 1, echo, ms(12));
         assert!(!matches!(event, Some(Event::BroadcastReply { .. })), "{event:?}");
         let silent = id(1).into();
-        let told = events(&mut master, ms(60));
-        assert!(told.contains(&Event::BroadcastDone { silent, was_sent: true }), "{told:?}");
+        let reported = events(&mut master, ms(60));
+        assert!(
+            reported.contains(&Event::BroadcastDone { silent, was_sent: true }),
+            "{reported:?}"
+        );
         // It ignores one, and executes the next.
         let save = FunctionControl::SaveMultiTurn(Switch::On);
         let write = ask(&mut master, 1, save, ms(200));
@@ -212,9 +215,9 @@ fn what_all_are_told_and_a_drive_has_ignored_is_no_answer() {
     }
 }
 
-/// The message goes before feedback that waits in the drive, since it has the lower identifier.
+/// The message of the loss goes before feedback that waits in the drive, since it has the lower identifier.
 #[test]
-fn feedback_from_before_the_message_is_not_what_a_drive_that_lost_its_master_ignores() {
+fn feedback_sent_before_the_loss_leaves_the_next_command_ignored() {
     // In time, or late.
     for said_at in [1, 22] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -238,9 +241,9 @@ fn feedback_from_before_the_message_is_not_what_a_drive_that_lost_its_master_ign
     }
 }
 
-/// It cannot be told from an ignored command that is sent back: it ends nothing, and the next command may be ignored.
+/// The answer may also be an ignored command that is sent back: it ends nothing, and the next command may be ignored.
 #[test]
-fn an_answer_from_before_the_message_that_equals_its_command_is_not_all_that_is_ignored() {
+fn answer_equal_to_its_command_does_not_show_what_the_drive_ignored() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
@@ -255,7 +258,7 @@ fn an_answer_from_before_the_message_that_equals_its_command_is_not_all_that_is_
 }
 
 #[test]
-fn an_answer_to_all_from_before_the_message_is_not_all_that_is_ignored() {
+fn answer_to_a_broadcast_before_the_loss_leaves_the_next_command_ignored() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -268,9 +271,9 @@ fn an_answer_to_all_from_before_the_message_is_not_all_that_is_ignored() {
     assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(201)), None, "ignored");
 }
 
-/// A read was sent before the message and after it: which of the two is answered, or was ignored, is not known.
+/// A read was sent before the message and after it: which of the two was answered, and which ignored, is not known.
 #[test]
-fn the_answer_to_one_of_two_sendings_does_not_say_what_the_drive_ignores() {
+fn answer_to_one_of_two_attempts_does_not_show_what_was_ignored() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(2)).unwrap();
@@ -284,7 +287,7 @@ fn the_answer_to_one_of_two_sendings_does_not_say_what_the_drive_ignores() {
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(27)), confirmed(1));
 }
 
-/// Its values are all 0, as those of feedback may be.
+/// The echo of the set-point is all 0, as feedback may be.
 #[test]
 fn a_set_point_of_0_that_was_ignored_is_no_feedback() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -295,9 +298,9 @@ fn a_set_point_of_0_that_was_ignored_is_no_feedback() {
     assert_eq!(echo, Some(Event::SetPointUnanswered { motor: id(1) }));
 }
 
-/// A load that the brake holds would fall, after what ends motion, or after the caller has given up.
+/// The load that the brake holds would fall, after a shutdown or after the caller has withdrawn the release.
 #[test]
-fn an_ignored_release_of_a_brake_that_is_over_does_not_go_again() {
+fn ignored_brake_release_is_not_resent_once_it_was_ended() {
     for is_withdrawn in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
@@ -308,8 +311,8 @@ fn an_ignored_release_of_a_brake_that_is_over_does_not_go_again() {
             master.broadcast(Shutdown, id(1).into()).unwrap();
         }
         assert_eq!(reply(&mut master, 1, ReleaseBrake.encode(), ms(2)), None);
-        let told = events(&mut master, ms(2));
-        assert_eq!(release.outcome(&told[0]), Some(Err(Failure::NotExecuted)));
+        let reported = events(&mut master, ms(2));
+        assert_eq!(release.outcome(&reported[0]), Some(Err(Failure::NotExecuted)));
         let released = packet_to(1, ReleaseBrake.encode());
         for now in [2, 4, 30, 100] {
             assert!(!sent(&mut master, ms(now)).contains(&released), "{is_withdrawn}");

@@ -9,7 +9,7 @@ fn is_stop_confirmed(master: &mut Master<2>, at: Instant) -> bool {
 }
 
 #[test]
-fn of_two_commands_to_all_that_move_the_answer_to_one_says_nothing_of_the_other() {
+fn answer_to_one_of_two_moves_to_all_does_not_show_the_other_arrived() {
     // No motor is known or expected, so the second goes at once.
     let mut master = Master::<2>::new(Config::CAN);
     for _ in 0..2 {
@@ -27,7 +27,7 @@ fn of_two_commands_to_all_that_move_the_answer_to_one_says_nothing_of_the_other(
 }
 
 #[test]
-fn the_first_of_three_commands_to_all_may_move_whoever_has_answered_the_others() {
+fn first_of_three_moves_to_all_may_move_a_motor_that_answered_the_rest() {
     let mut master = Master::<2>::new(Config::CAN);
     for (now, is_answered) in [(0, false), (1, true), (3, true)] {
         master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -42,7 +42,7 @@ fn the_first_of_three_commands_to_all_may_move_whoever_has_answered_the_others()
 }
 
 #[test]
-fn a_question_to_all_says_nothing_of_what_a_cut_bus_holds() {
+fn read_to_all_does_not_show_that_a_cut_bus_holds_no_move() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(10));
@@ -55,7 +55,7 @@ fn a_question_to_all_says_nothing_of_what_a_cut_bus_holds() {
 }
 
 #[test]
-fn a_cut_bus_may_hold_two_commands_to_all_that_move() {
+fn cut_bus_may_hold_two_moves_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -75,7 +75,7 @@ fn a_cut_bus_may_hold_two_commands_to_all_that_move() {
 }
 
 #[test]
-fn whoever_has_answered_each_command_to_all_is_moved_by_none_of_them() {
+fn motor_that_answered_each_move_to_all_is_moved_by_none_of_them() {
     let mut master = Master::<2>::new(Config::CAN);
     for now in [0, 2, 4] {
         master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -88,7 +88,7 @@ fn whoever_has_answered_each_command_to_all_is_moved_by_none_of_them() {
 }
 
 #[test]
-fn the_second_command_to_all_that_was_handed_back_says_nothing_of_the_first() {
+fn handed_back_second_move_to_all_does_not_show_the_first_arrived() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut last = None;
     for amperes in [1.0, 2.0] {
@@ -102,7 +102,7 @@ fn the_second_command_to_all_that_was_handed_back_says_nothing_of_the_first() {
 }
 
 #[test]
-fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_told() {
+fn handed_back_stop_or_shutdown_to_all_is_sent_again_once_reported_done() {
     let mut master = Master::<2>::new(Config::CAN);
     for end in [Shutdown.encode(), Stop.encode()] {
         let raw = RawCommand::new(end, ReplyRule::Same, false);
@@ -113,7 +113,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
         // Another motor's command is more urgent.
         master.handle_pushed_out(&in_mailbox);
         assert_eq!(sent(&mut master, ms(0)), [in_mailbox], "nobody has heard it");
-        assert_eq!(events(&mut master, ms(0)), [], "that was told");
+        assert_eq!(events(&mut master, ms(0)), [], "that was reported");
     }
     // A bus that carries something holds none of these back.
     reply(&mut master, 2, ANGLE_REPLY, ms(50));
@@ -147,7 +147,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
 }
 
 #[test]
-fn what_ends_the_motion_of_all_reaches_all_but_a_motor_whose_later_stop_it_would_undo() {
+fn stop_to_all_skips_a_motor_whose_later_stop_it_would_undo() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
     let (to_all, lock) = (packet_to_all, LockBrake.encode());
     for (end, stop, goes) in [
@@ -188,7 +188,7 @@ fn what_ends_the_motion_of_all_reaches_all_but_a_motor_whose_later_stop_it_would
 }
 
 #[test]
-fn a_bus_that_is_whole_again_just_before_the_window_ends_has_all_of_it() {
+fn bus_mended_just_before_the_window_ends_gets_a_whole_window() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         for motor in [1, 2] {
@@ -216,7 +216,7 @@ fn a_bus_that_is_whole_again_just_before_the_window_ends_has_all_of_it() {
 }
 
 #[test]
-fn a_hold_is_confirmed_only_when_nothing_before_it_can_switch_the_motor_off_any_more() {
+fn hold_is_confirmed_once_no_earlier_shutdown_or_reset_can_arrive() {
     // On a controller that keeps no order among frames of one identifier.
     fn is_held_at_once<C: Command>(command: C) -> bool {
         let mut master = Master::<2>::new(Config::CAN);
@@ -242,7 +242,7 @@ fn a_hold_is_confirmed_only_when_nothing_before_it_can_switch_the_motor_off_any_
 }
 
 #[test]
-fn a_stop_that_was_never_in_doubt_is_confirmed_at_once() {
+fn stop_that_nothing_pending_can_undo_is_confirmed_at_once() {
     // A Shutdown that still waits has not gone, and does not when the motor is stopped.
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), Shutdown).unwrap();
@@ -262,7 +262,7 @@ fn a_stop_that_was_never_in_doubt_is_confirmed_at_once() {
 }
 
 #[test]
-fn what_a_stop_overtook_has_the_whole_of_its_window() {
+fn set_point_overtaken_by_a_stop_has_its_whole_window() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -288,7 +288,7 @@ fn three_lost_moves() -> Master<2> {
 }
 
 #[test]
-fn what_makes_way_among_late_replies_may_move_the_motor_all_the_same() {
+fn set_point_displaced_from_the_late_replies_may_still_move_the_motor() {
     let mut master = three_lost_moves();
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(48));
@@ -304,7 +304,7 @@ fn what_makes_way_among_late_replies_may_move_the_motor_all_the_same() {
 }
 
 #[test]
-fn of_what_lay_in_mailboxes_of_a_cut_bus_the_answer_to_one_says_nothing_of_what_is_late_no_more() {
+fn answers_to_two_lost_moves_do_not_show_that_the_third_arrived() {
     let mut master = three_lost_moves();
     // Motion is no longer waited for, and the bus is intact again.
     events(&mut master, ms(62));
@@ -316,7 +316,7 @@ fn of_what_lay_in_mailboxes_of_a_cut_bus_the_answer_to_one_says_nothing_of_what_
 }
 
 #[test]
-fn feedback_says_nothing_of_what_else_lies_in_a_mailbox() {
+fn feedback_does_not_show_that_another_frame_left_its_mailbox() {
     // A move that has no reply.
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, RawCommand::new([0x55; 8], ReplyRule::Silent, true), ms(0));
@@ -340,7 +340,7 @@ fn feedback_says_nothing_of_what_else_lies_in_a_mailbox() {
 }
 
 #[test]
-fn what_became_of_an_earlier_stop_is_not_told_of_the_next() {
+fn failure_of_an_earlier_stop_is_not_reported_for_the_next() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     for attempt in 0..15 {
@@ -353,7 +353,7 @@ fn what_became_of_an_earlier_stop_is_not_told_of_the_next() {
 }
 
 #[test]
-fn what_was_on_its_way_before_a_cut_does_not_say_that_the_bus_is_whole_again() {
+fn replies_from_before_a_cut_do_not_show_that_the_bus_is_whole_again() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         let _ = master.request_with(id(1), ReadMultiTurnAngle, once(5)).unwrap();
@@ -388,7 +388,7 @@ fn what_was_on_its_way_before_a_cut_does_not_say_that_the_bus_is_whole_again() {
 }
 
 #[test]
-fn nor_does_it_where_the_window_has_grown_since() {
+fn reply_from_before_a_cut_that_lengthens_the_window_does_not_either() {
     let longest_reply_timeout = Duration::from_millis(40);
     let mut master = Master::<2>::new(Config { longest_reply_timeout, ..Config::CAN });
     // One answer after 1 ms: the shortest time-outs do.
@@ -412,7 +412,7 @@ fn nor_does_it_where_the_window_has_grown_since() {
 }
 
 #[test]
-fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes_no_later_stop() {
+fn shutdown_to_all_handed_back_before_it_was_reported_undoes_no_hold() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
     // In flight, sent with no motor expected to answer, and over.
     for (expected, over) in [(id(1).into(), 0), (MotorSet::EMPTY, 0), (id(1).into(), 21)] {
@@ -456,7 +456,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes
 }
 
 #[test]
-fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+fn hold_is_confirmed_once_no_shutdown_to_all_can_arrive() {
     let hold = Stop.encode();
     let overtaken = |is_rs485: bool| {
         let mut master =
@@ -479,7 +479,7 @@ fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any
             master.poll_at().unwrap()
         };
         assert!(is_answered || at > ms(60) && at < ms(70), "{at:?}");
-        // A caller that asks for it in every cycle is also told.
+        // A caller that asks for it in every cycle gets its confirmation, too.
         master.stop(id(1), StopKind::Hold).unwrap();
         assert_eq!(sent(&mut master, at)[0].data, hold);
         assert_eq!(reply(&mut master, 1, hold, at + Duration::from_millis(1)), confirmed(1));
@@ -508,22 +508,22 @@ fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any
 }
 
 #[test]
-fn who_holds_in_every_cycle_is_told_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+fn cyclic_hold_is_confirmed_once_no_shutdown_to_all_can_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
     events(&mut master, ms(0));
-    let told = (0..150).find(|&now| {
+    let reported = (0..150).find(|&now| {
         master.stop(id(1), StopKind::Hold).unwrap();
         let is_sent = !sent(&mut master, ms(now)).is_empty();
         reply(&mut master, 2, ANGLE_REPLY, ms(now));
         is_sent && reply(&mut master, 1, Stop.encode(), ms(now + 1)) == confirmed(1)
     });
-    assert!(told.is_some_and(|at| at > 60 && at < 110), "{told:?}");
+    assert!(reported.is_some_and(|at| at > 60 && at < 110), "{reported:?}");
 }
 
 #[test]
-fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_handed_back() {
+fn stop_to_all_handed_back_late_undoes_no_later_stop_of_all() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
     let goes = |end: Data, kind: StopKind| {
         let mut master = Master::<2>::new(Config::CAN);
@@ -570,7 +570,7 @@ fn obeyed(master: &mut Master<2>, span: core::ops::Range<u64>) -> (Vec<Packet>, 
 }
 
 #[test]
-fn a_stop_that_goes_once_more_does_not_wait_for_what_the_stop_of_another_motor_puts_in_doubt() {
+fn stop_in_doubt_is_confirmed_though_another_motor_is_put_in_doubt() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -584,7 +584,7 @@ fn a_stop_that_goes_once_more_does_not_wait_for_what_the_stop_of_another_motor_p
 }
 
 #[test]
-fn what_ended_the_motion_of_all_undoes_no_later_stop_that_was_lifted_since() {
+fn stop_to_all_handed_back_undoes_no_later_stop_lifted_since() {
     let goes = |is_off: bool, kind: StopKind, by_request: bool| {
         let mut master = Master::<2>::new(Config::CAN);
         if is_off {
@@ -613,8 +613,7 @@ fn what_ended_the_motion_of_all_undoes_no_later_stop_that_was_lifted_since() {
 }
 
 #[test]
-fn a_motor_that_was_stopped_before_gets_what_ends_the_motion_of_all_though_another_is_stopped_since()
- {
+fn motor_held_before_a_shutdown_to_all_gets_it_despite_a_later_hold() {
     for is_handed_back in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
@@ -635,7 +634,7 @@ fn a_motor_that_was_stopped_before_gets_what_ends_the_motion_of_all_though_anoth
 }
 
 #[test]
-fn a_request_to_hold_is_answered_only_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+fn requested_hold_is_answered_once_no_shutdown_to_all_can_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
@@ -643,16 +642,16 @@ fn a_request_to_hold_is_answered_only_when_no_shutdown_of_all_can_switch_the_mot
     let held = master.request(id(1), Stop).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None, "its load may fall yet");
-    let told = (2..150).find_map(|at| {
+    let reported = (2..150).find_map(|at| {
         let is_sent = !sent(&mut master, ms(at)).is_empty();
         let event = reply(&mut master, 1, Stop.encode(), ms(at + 1)).filter(|_| is_sent)?;
         held.outcome(&event)
     });
-    assert!(matches!(told, Some(Ok(_))), "{told:?}");
+    assert!(matches!(reported, Some(Ok(_))), "{reported:?}");
 }
 
 #[test]
-fn a_question_to_all_that_is_handed_back_when_it_is_over_was_not_sent() {
+fn read_to_all_ended_by_a_stop_and_handed_back_was_not_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
@@ -666,7 +665,7 @@ fn a_question_to_all_that_is_handed_back_when_it_is_over_was_not_sent() {
 }
 
 #[test]
-fn no_restart_of_all_comes_back_behind_a_stop_of_all_though_nobody_has_a_place() {
+fn handed_back_reset_to_all_does_not_follow_a_stop_of_unknown_motors() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Reset, MotorSet::EMPTY).unwrap();
     let reset = sent(&mut master, ms(0));
@@ -680,7 +679,7 @@ fn no_restart_of_all_comes_back_behind_a_stop_of_all_though_nobody_has_a_place()
 }
 
 #[test]
-fn the_answer_to_an_attempt_before_the_last_move_could_come_does_not_confirm_the_one_behind_it() {
+fn answer_to_an_attempt_before_a_pending_move_confirms_no_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     // In a mailbox until 40 ms.
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -695,9 +694,9 @@ fn the_answer_to_an_attempt_before_the_last_move_could_come_does_not_confirm_the
     assert!(is_stop_confirmed(&mut master, ms(85)));
 }
 
-/// The same of a move of one motor that is not answered: another is heard for a moment, and then the stop.
+/// The move of one motor is not answered; another motor is heard for a moment, and then the stop is answered.
 #[test]
-fn nor_does_it_say_so_of_a_move_without_reply_where_the_window_has_grown_since() {
+fn move_without_reply_may_arrive_after_a_cut_though_the_window_has_grown() {
     let longest_reply_timeout = Duration::from_millis(40);
     let mut master = Master::<2>::new(Config { longest_reply_timeout, ..Config::CAN });
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
@@ -719,9 +718,9 @@ fn nor_does_it_say_so_of_a_move_without_reply_where_the_window_has_grown_since()
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "it comes now");
 }
 
-/// Its move is over by time, and it was not told to end its motion.
+/// The move can no longer arrive, and no stop was sent since: the motor may be forgotten.
 #[test]
-fn a_read_that_is_not_answered_does_not_say_that_a_move_may_come() {
+fn unanswered_read_does_not_make_an_expired_move_pending_again() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, step(), ms(0));
     assert_eq!(events(&mut master, ms(21)).len(), 1);

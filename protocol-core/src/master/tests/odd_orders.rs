@@ -8,12 +8,12 @@ fn patient(attempts: u8, millis: u64) -> Patience {
     Patience { attempts, reply_timeout: Duration::from_millis(millis) }
 }
 
-fn is_restart_told(told: &[Event]) -> bool {
-    told.contains(&Event::Restarted { motor: id(1) })
+fn is_restart_reported(reported: &[Event]) -> bool {
+    reported.contains(&Event::Restarted { motor: id(1) })
 }
 
 #[test]
-fn another_command_to_all_that_was_pushed_out_is_not_the_one_in_flight() {
+fn handed_back_earlier_broadcast_is_not_taken_for_the_one_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
     let earlier = sent(&mut master, ms(0))[0];
@@ -25,7 +25,7 @@ fn another_command_to_all_that_was_pushed_out_is_not_the_one_in_flight() {
 }
 
 #[test]
-fn a_time_out_that_has_become_shorter_is_looked_at_in_time() {
+fn poll_at_follows_a_time_out_that_became_shorter() {
     let config = Config { reply_timeout: Duration::from_millis(5), ..Config::CAN };
     let mut master = Master::<2>::new(config.adapting_up_to(Duration::from_millis(40)));
     for motor in [1, 2] {
@@ -34,23 +34,23 @@ fn a_time_out_that_has_become_shorter_is_looked_at_in_time() {
     sent(&mut master, ms(0));
     master.handle_timeout(ms(0));
     reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     let mut now = ms(1);
     for _ in 0..20 {
-        told.extend(events(&mut master, now));
+        reported.extend(events(&mut master, now));
         let Some(at) = master.poll_at() else { break };
         assert!(at > now, "{at:?} is past at {now:?}, and nothing is done");
         now = at;
     }
-    assert_eq!(told, [Event::SetPointUnanswered { motor: id(2) }]);
+    assert_eq!(reported, [Event::SetPointUnanswered { motor: id(2) }]);
 }
 
 #[test]
-fn a_question_that_all_have_ended_can_be_put_again() {
+fn move_ended_by_a_shutdown_to_all_can_be_requested_again() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request_with(id(1), step(), patient(3, 20)).unwrap();
     sent(&mut master, ms(0));
-    // It waits to be sent again when all are told to end their motion.
+    // It waits to be sent again when a shutdown to all is requested.
     master.handle_timeout(ms(20));
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(20));
@@ -61,7 +61,7 @@ fn a_question_that_all_have_ended_can_be_put_again() {
 }
 
 #[test]
-fn a_move_in_flight_goes_no_more_when_a_restart_is_seen() {
+fn move_in_flight_is_not_resent_once_a_restart_is_seen() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -69,13 +69,13 @@ fn a_move_in_flight_goes_no_more_when_a_restart_is_seen() {
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
     assert_eq!(sent(&mut master, ms(601)).len(), 1);
     assert_eq!(sent(&mut master, ms(1_201)), []);
-    let told = events(&mut master, ms(1_201));
-    assert!(is_restart_told(&told), "{told:?}");
-    assert!(told.iter().any(|event| moving.outcome(event).is_some()), "{told:?}");
+    let reported = events(&mut master, ms(1_201));
+    assert!(is_restart_reported(&reported), "{reported:?}");
+    assert!(reported.iter().any(|event| moving.outcome(event).is_some()), "{reported:?}");
 }
 
 #[test]
-fn a_move_that_is_pushed_out_after_a_restart_was_seen_is_not_sent_again() {
+fn move_handed_back_after_a_restart_was_seen_is_not_sent_again() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -89,13 +89,13 @@ fn a_move_that_is_pushed_out_after_a_restart_was_seen_is_not_sent_again() {
     reply(&mut master, 1, [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], ms(1_100)).unwrap();
     master.handle_pushed_out(&in_mailbox);
     assert_eq!(sent(&mut master, ms(1_100)), []);
-    let told = events(&mut master, ms(1_100));
-    assert!(is_restart_told(&told), "{told:?}");
-    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
+    let reported = events(&mut master, ms(1_100));
+    assert!(is_restart_reported(&reported), "{reported:?}");
+    assert!(reported.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
 
 #[test]
-fn all_are_not_moved_while_one_has_restarted() {
+fn move_to_all_is_refused_while_a_motor_has_restarted() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -110,11 +110,11 @@ fn all_are_not_moved_while_one_has_restarted() {
     reply(&mut master, 1, [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], ms(1_100)).unwrap();
     reply(&mut master, 2, [0xB5, b'X', 0, 0, 0, 0, 0, 0], ms(1_101)).unwrap();
     assert_eq!(sent(&mut master, ms(1_101)), []);
-    let told = events(&mut master, ms(1_101));
-    assert!(is_restart_told(&told), "{told:?}");
+    let reported = events(&mut master, ms(1_101));
+    assert!(is_restart_reported(&reported), "{reported:?}");
     assert!(
-        told.contains(&Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false }),
-        "{told:?}"
+        reported.contains(&Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false }),
+        "{reported:?}"
     );
     assert_eq!(master.broadcast(step(), MotorSet::EMPTY), Err(RequestError::Restarted));
     master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
@@ -126,7 +126,7 @@ fn all_are_not_moved_while_one_has_restarted() {
 }
 
 #[test]
-fn a_last_stop_that_was_ignored_goes_again_and_is_then_an_unconfirmed_one() {
+fn ignored_last_attempt_of_a_stop_is_resent_and_then_unconfirmed() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -145,7 +145,7 @@ fn a_last_stop_that_was_ignored_goes_again_and_is_then_an_unconfirmed_one() {
 }
 
 #[test]
-fn on_rs485_nobodys_patience_holds_a_stop_up() {
+fn on_rs485_patient_request_delays_a_stop_by_50_ms_at_most() {
     let mut master = Master::<4>::new(Config::rs485(115_200, false));
     let waiting = master.request_with(id(1), ReadMultiTurnAngle, patient(1, 10_000)).unwrap();
     sent(&mut master, ms(0));
@@ -157,16 +157,16 @@ fn on_rs485_nobodys_patience_holds_a_stop_up() {
     // Nothing else goes during the other exchange, which may still be answered.
     let _ = master.request(id(3), ReadMultiTurnAngle).unwrap();
     let confirm = Frame { address: Target::Motor(id(2)), data: Shutdown.encode() };
-    let told = master.handle_line(&confirm, at + Duration::from_millis(2));
-    assert_eq!(told, Some(Event::StopConfirmed { motor: id(2) }));
+    let reported = master.handle_line(&confirm, at + Duration::from_millis(2));
+    assert_eq!(reported, Some(Event::StopConfirmed { motor: id(2) }));
     assert_eq!(sent(&mut master, ms(100)), []);
     let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
-    let told = master.handle_line(&answer, ms(101)).unwrap();
-    assert!(waiting.outcome(&told).is_some());
+    let reported = master.handle_line(&answer, ms(101)).unwrap();
+    assert!(waiting.outcome(&reported).is_some());
 }
 
 #[test]
-fn what_ends_motion_is_answered_beside_a_stream_that_is_not() {
+fn shutdown_is_answered_during_a_stream_without_feedback() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut ticket = None;
     for now in 0..1_000 {
@@ -179,8 +179,8 @@ fn what_ends_motion_is_answered_beside_a_stream_that_is_not() {
         let is_asked = sent(&mut master, ms(now)).iter().any(|it| it.data == Shutdown.encode());
         if let (Some(ticket), true) = (ticket, is_asked) {
             let later = ms(now) + Duration::from_micros(800);
-            let told = reply(&mut master, 1, Shutdown.encode(), later);
-            if told.is_some_and(|event| ticket.outcome(&event).is_some()) {
+            let reported = reply(&mut master, 1, Shutdown.encode(), later);
+            if reported.is_some_and(|event| ticket.outcome(&event).is_some()) {
                 return;
             }
         }
@@ -190,7 +190,7 @@ fn what_ends_motion_is_answered_beside_a_stream_that_is_not() {
 }
 
 #[test]
-fn a_stop_is_not_confirmed_while_a_set_point_may_wait_whose_feedback_was_that_of_another() {
+fn stop_is_unconfirmed_while_each_feedback_may_be_that_of_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // The first waits in its mailbox until it counts as lost.
     master.set_point(id(1), motion(), ms(0)).unwrap();
@@ -213,7 +213,7 @@ fn a_stop_is_not_confirmed_while_a_set_point_may_wait_whose_feedback_was_that_of
 }
 
 #[test]
-fn a_set_point_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirmed_stop() {
+fn set_point_kept_by_a_cut_bus_follows_no_confirmed_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -237,7 +237,7 @@ fn a_set_point_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirm
 }
 
 #[test]
-fn a_patient_question_to_a_silent_motor_keeps_no_other_back_on_a_bus_that_is_never_quiet() {
+fn patient_request_to_a_silent_motor_delays_no_other_on_a_busy_bus() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request_with(id(1), ReadMultiTurnAngle, patient(1, 10_000)).unwrap();
     sent(&mut master, ms(0));
@@ -258,9 +258,9 @@ fn a_patient_question_to_a_silent_motor_keeps_no_other_back_on_a_bus_that_is_nev
 }
 
 #[test]
-fn a_raw_move_without_a_reply_follows_nothing_that_ends_motion() {
+fn raw_move_without_a_reply_follows_no_shutdown_and_no_confirmed_stop() {
     let raw = RawCommand::new([0x55; 8], ReplyRule::Silent, true);
-    // Handed back after all were told to end their motion.
+    // Handed back after a shutdown to all was requested.
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), raw).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
@@ -285,7 +285,7 @@ fn a_raw_move_without_a_reply_follows_nothing_that_ends_motion() {
 }
 
 #[test]
-fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
+fn handed_back_read_to_all_does_not_show_that_an_earlier_move_arrived() {
     let mut master = Master::<2>::new(Config::CAN);
     // It is not answered, so the next one need not wait for answers.
     let raw = RawCommand::new([0x55; 8], ReplyRule::Silent, true);
@@ -317,7 +317,7 @@ fn each_of_two_lost_answers_may_come_late() {
 }
 
 #[test]
-fn an_answer_that_comes_twice_is_not_the_one_that_is_late() {
+fn duplicate_feedback_is_not_taken_for_late_feedback() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -331,7 +331,7 @@ fn an_answer_that_comes_twice_is_not_the_one_that_is_late() {
 }
 
 #[test]
-fn what_a_stop_went_over_may_be_answered_for_as_long_as_it_may_be_on_its_way() {
+fn read_replaced_by_a_stop_may_be_answered_for_61_ms() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
@@ -344,7 +344,7 @@ fn what_a_stop_went_over_may_be_answered_for_as_long_as_it_may_be_on_its_way() {
 }
 
 #[test]
-fn what_was_pushed_out_and_sent_again_has_one_answer() {
+fn read_handed_back_and_sent_again_has_one_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -356,7 +356,7 @@ fn what_was_pushed_out_and_sent_again_has_one_answer() {
 }
 
 #[test]
-fn how_long_an_answer_took_is_unknown_after_several_sendings() {
+fn answer_after_two_attempts_measures_no_round_trip() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     assert_eq!(sent(&mut master, ms(21)).len(), 1);
@@ -365,19 +365,19 @@ fn how_long_an_answer_took_is_unknown_after_several_sendings() {
 }
 
 #[test]
-fn on_a_coarse_clock_an_answer_within_the_step_of_its_command_is_in_time() {
+fn on_rs485_answer_in_the_clock_step_of_its_command_counts() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
     let ticket = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
     assert!(ticket.outcome(&master.handle_line(&answer, ms(1)).unwrap()).is_some());
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
-    let told = master.handle_line(&answer, ms(2));
-    assert!(matches!(told, Some(Event::BroadcastReply { .. })), "{told:?}");
+    let reported = master.handle_line(&answer, ms(2));
+    assert!(matches!(reported, Some(Event::BroadcastReply { .. })), "{reported:?}");
 }
 
 #[test]
-fn what_was_offered_before_a_stop_is_not_the_stop() {
+fn read_offered_before_a_stop_is_not_taken_for_the_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
     master.poll_transmit(ms(0)).unwrap();
@@ -387,7 +387,7 @@ fn what_was_offered_before_a_stop_is_not_the_stop() {
 }
 
 #[test]
-fn a_stop_after_one_that_was_lifted_is_a_new_one() {
+fn stop_after_a_lifted_one_drops_the_set_point_put_between() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(0));
@@ -402,7 +402,7 @@ fn a_stop_after_one_that_was_lifted_is_a_new_one() {
 }
 
 #[test]
-fn who_answered_one_command_to_all_may_answer_the_next_one_late() {
+fn motor_that_answered_one_broadcast_may_answer_the_next_late() {
     let mut master = Master::<2>::new(Config::CAN);
     for now in [0, 10] {
         master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
@@ -417,7 +417,7 @@ fn who_answered_one_command_to_all_may_answer_the_next_one_late() {
 }
 
 #[test]
-fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
+fn seen_restart_is_reported_once_and_ends_active_reports() {
     let mut master = Master::<2>::new(Config::CAN);
     let run_time = |millis: u32| {
         let [a, b, c, d] = millis.to_le_bytes();
@@ -433,7 +433,7 @@ fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
     events(&mut master, ms(40));
     let _ = ask(&mut master, 1, ReadModel, ms(1_200));
     reply(&mut master, 1, [0xB5, b'X', 0, 0, 0, 0, 0, 0], ms(1_201)).unwrap();
-    assert!(is_restart_told(&events(&mut master, ms(1_201))));
+    assert!(is_restart_reported(&events(&mut master, ms(1_201))));
     let _ = ask(&mut master, 1, ReadRunTime, ms(1_210));
     reply(&mut master, 1, run_time(500), ms(1_211)).unwrap();
     assert_eq!(events(&mut master, ms(1_211)), []);
@@ -441,7 +441,7 @@ fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
 }
 
 #[test]
-fn on_rs485_no_stop_meets_the_answer_to_what_it_goes_over() {
+fn on_rs485_stop_waits_for_the_answer_to_the_read_it_replaces() {
     let micros = Instant::from_micros;
     let stops: [fn(&mut Master<4>); 2] = [
         |master| master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(),
@@ -465,7 +465,7 @@ fn on_rs485_no_stop_meets_the_answer_to_what_it_goes_over() {
 }
 
 #[test]
-fn a_brake_that_may_be_released_after_a_stop_leaves_that_unconfirmed() {
+fn stop_is_unconfirmed_while_a_brake_release_may_still_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReleaseBrake, ms(0));
     // It is in a mailbox, and the stop overtakes it.
@@ -483,25 +483,25 @@ fn a_brake_that_may_be_released_after_a_stop_leaves_that_unconfirmed() {
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(1));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
-    // Handed back after all were told to end their motion.
+    // Handed back after a shutdown to all was requested.
     let mut master = Master::<2>::new(Config::CAN);
     let released = master.request(id(1), ReleaseBrake).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     master.handle_pushed_out(&in_mailbox);
     assert_eq!(sent(&mut master, ms(50)), [packet_to_all(Shutdown.encode())]);
-    let told = events(&mut master, ms(50));
-    assert!(told.iter().any(|event| released.outcome(event) == Some(Err(Failure::Stopped))));
+    let reported = events(&mut master, ms(50));
+    assert!(reported.iter().any(|event| released.outcome(event) == Some(Err(Failure::Stopped))));
 }
 
 #[test]
-fn a_restart_that_was_sent_before_a_stop_is_told_as_one() {
+fn reset_sent_before_a_stop_is_reported_as_a_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     let reset = ask(&mut master, 1, Reset, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
-    let told = events(&mut master, ms(1));
-    assert_eq!(reset.outcome(&told[0]), Some(Err(Failure::Stopped)));
-    assert!(is_restart_told(&told), "{told:?}");
+    let reported = events(&mut master, ms(1));
+    assert_eq!(reset.outcome(&reported[0]), Some(Err(Failure::Stopped)));
+    assert!(is_restart_reported(&reported), "{reported:?}");
     master.lift_stop();
     let refused = master.set_point(id(1), torque(1.0), ms(2));
     assert_eq!(refused, Err(RequestError::Restarted), "nobody knows where it is");
@@ -512,7 +512,7 @@ fn a_restart_that_was_sent_before_a_stop_is_told_as_one() {
 }
 
 #[test]
-fn what_may_yet_move_a_motor_is_not_forgotten_with_it() {
+fn motor_that_a_lost_set_point_may_move_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     // It waits in a mailbox until it counts as lost.
@@ -534,7 +534,7 @@ fn what_may_yet_move_a_motor_is_not_forgotten_with_it() {
 }
 
 #[test]
-fn a_move_of_all_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirmed_stop() {
+fn move_to_all_kept_by_a_cut_bus_follows_no_confirmed_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -556,7 +556,7 @@ fn a_move_of_all_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confi
 }
 
 #[test]
-fn of_two_set_points_that_waited_in_mailboxes_the_feedback_of_one_says_nothing_of_the_other() {
+fn feedback_of_one_kept_set_point_does_not_show_the_other_arrived() {
     let mut master = Master::<2>::new(Config::CAN);
     for now in [0, 200] {
         master.set_point(id(1), motion(), ms(now)).unwrap();
@@ -579,7 +579,7 @@ fn of_two_set_points_that_waited_in_mailboxes_the_feedback_of_one_says_nothing_o
 }
 
 #[test]
-fn what_is_handed_back_after_its_time_was_up_was_neither_sent_nor_lost() {
+fn attempt_handed_back_after_its_time_out_was_neither_sent_nor_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request_with(id(1), ReadMultiTurnAngle, patient(2, 20)).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
@@ -595,7 +595,7 @@ fn what_is_handed_back_after_its_time_was_up_was_neither_sent_nor_lost() {
 }
 
 #[test]
-fn what_was_given_up_and_is_handed_back_then_was_not_lost() {
+fn command_handed_back_after_it_was_given_up_was_not_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
@@ -614,7 +614,7 @@ fn what_was_given_up_and_is_handed_back_then_was_not_lost() {
 }
 
 #[test]
-fn what_a_stop_went_over_and_is_handed_back_then_was_none_of_those_that_are_lost() {
+fn command_replaced_by_a_stop_and_handed_back_changes_no_loss_count() {
     for is_stream in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         let once = master.request_with(id(1), ReadStatus2, patient(1, 5)).unwrap();
@@ -635,7 +635,7 @@ fn what_a_stop_went_over_and_is_handed_back_then_was_none_of_those_that_are_lost
 }
 
 #[test]
-fn a_set_point_that_is_handed_back_after_its_answer_seemed_to_come_was_not_answered() {
+fn set_point_handed_back_after_late_feedback_was_not_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -649,19 +649,19 @@ fn a_set_point_that_is_handed_back_after_its_answer_seemed_to_come_was_not_answe
 }
 
 #[test]
-fn an_attempt_that_is_handed_back_after_the_answer_to_the_first_was_not_answered() {
+fn second_attempt_handed_back_after_the_answer_was_not_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let in_mailbox = sent(&mut master, ms(21))[0];
-    let told = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
-    assert!(read.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(read.outcome(&reported).is_some());
     master.handle_pushed_out(&in_mailbox);
     let health = master.health(id(1));
     assert_eq!((health.answered, health.lost), (0, 1), "of one command");
 }
 
 #[test]
-fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
+fn repeated_shutdown_does_not_wait_for_new_moves_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let move_all = |master: &mut Master<2>| master.broadcast(torque(1.0), MotorSet::EMPTY);
     move_all(&mut master).unwrap();
@@ -676,8 +676,8 @@ fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
         let packets = sent(master, ms(now));
         moves += packets.iter().filter(|it| it.data == torque(1.0).encode()).count();
         let is_asked = packets.iter().any(|it| it.data == Shutdown.encode());
-        let told = is_asked.then(|| reply(master, 1, Shutdown.encode(), ms(now + 1))).flatten();
-        told.is_some_and(|told| ticket.outcome(&told) == Some(Ok(Shutdown)))
+        let reported = is_asked.then(|| reply(master, 1, Shutdown.encode(), ms(now + 1))).flatten();
+        reported.is_some_and(|reported| ticket.outcome(&reported) == Some(Ok(Shutdown)))
     };
     // The first one may move it until 61.2 ms.
     let over = (1..100).find(|&now| is_over(now));
@@ -687,7 +687,7 @@ fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
 }
 
 #[test]
-fn whoever_fills_a_line_holds_no_stop_up() {
+fn frames_that_fill_the_line_delay_no_stop() {
     let mut master = Master::<2>::new(Config::rs485(115_200, false));
     let of_another = Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY };
     // With an adapter that delivers every millisecond, and frames all the time, as from two motors of one id that
@@ -702,10 +702,10 @@ fn whoever_fills_a_line_holds_no_stop_up() {
     assert_eq!(sent_at, Some(1));
 }
 
-/// Nor do such frames delay a command if the free line between two of them is not seen: because they follow one another
-/// closely, or because the clock's steps are longer than the drives take to turn around.
+/// A command is sent even if the free line between two frames is not seen: because they follow one another closely, or
+/// because the clock's steps are longer than the drives take to turn around.
 #[test]
-fn whoever_fills_a_line_keeps_nobody_off_it() {
+fn frames_that_fill_the_line_delay_no_command() {
     let of_another = Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY };
     let puts: [fn(&mut Master<2>); 3] = [
         |master| _ = master.request(id(1), ReadModel).unwrap(),
@@ -729,7 +729,7 @@ fn whoever_fills_a_line_keeps_nobody_off_it() {
 
 /// A motor that has answered turns around before the next command, whatever waits.
 #[test]
-fn on_a_line_who_has_answered_turns_around_first() {
+fn on_rs485_next_command_waits_for_the_turnaround_of_an_answer() {
     let mut master = Master::<2>::new(Config::rs485(115_200, false));
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.set_point(id(1), torque(1.0), ms(1)).unwrap();
@@ -742,7 +742,7 @@ fn on_a_line_who_has_answered_turns_around_first() {
 
 /// Nothing is to be called between an offer and its sending. If it is, the frame is sent once more, not left out.
 #[test]
-fn what_was_offered_before_all_are_let_go_or_a_restart_is_noted_does_not_count_as_sent() {
+fn frame_offered_before_a_shutdown_to_all_or_restart_is_not_sent_yet() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(master.poll_transmit(ms(0)), Some(packet_to(1, Stop.encode())));

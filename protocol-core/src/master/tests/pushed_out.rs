@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_frame_that_was_pushed_out_waits_again() {
+fn handed_back_request_is_sent_again() {
     let mut master = Master::<2>::new(Config::CAN);
     let ticket = master.request(id(1), step()).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -19,7 +19,7 @@ fn a_frame_that_was_pushed_out_waits_again() {
 }
 
 #[test]
-fn a_frame_that_was_pushed_out_has_used_no_attempt() {
+fn handed_back_frame_has_used_no_attempt() {
     let mut master = Master::<2>::new(Config::CAN);
     let patience = Patience { attempts: 2, reply_timeout: Duration::from_millis(5) };
     let ticket = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
@@ -29,12 +29,15 @@ fn a_frame_that_was_pushed_out_has_used_no_attempt() {
         assert_eq!(sent(&mut master, ms(at)), [pushed_out], "{at}");
     }
     assert_eq!(sent(&mut master, ms(10)), []);
-    let told = events(&mut master, ms(10));
-    assert_eq!(told.iter().find_map(|event| ticket.outcome(event)), Some(Err(Failure::NoReply)));
+    let reported = events(&mut master, ms(10));
+    assert_eq!(
+        reported.iter().find_map(|event| ticket.outcome(event)),
+        Some(Err(Failure::NoReply))
+    );
 }
 
 #[test]
-fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
+fn motor_whose_frame_was_handed_back_has_had_no_turn() {
     let mut master = Master::<8>::new(Config::CAN);
     stream_to(&mut master, 3..=3, ms(0));
     stream_to(&mut master, 1..=2, ms(0));
@@ -48,9 +51,9 @@ fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
     assert_eq!(sent(&mut master, ms(1))[0], pushed_out);
 }
 
-/// Others that were sent as much would push it out once more, each of them.
+/// Set-points that were sent before it would push the stop out once more, each of them.
 #[test]
-fn a_stop_that_was_pushed_out_and_goes_again_is_behind_no_set_point_of_others() {
+fn handed_back_stop_is_sent_again_before_set_points_of_others() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -66,7 +69,7 @@ fn a_stop_that_was_pushed_out_and_goes_again_is_behind_no_set_point_of_others() 
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_gives_way_to_a_newer_one_and_to_a_stop() {
+fn handed_back_set_point_gives_way_to_a_newer_one_and_to_a_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -85,7 +88,7 @@ fn a_set_point_that_was_pushed_out_gives_way_to_a_newer_one_and_to_a_stop() {
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_does_not_go_before_a_stop_that_waits() {
+fn handed_back_set_point_is_dropped_for_a_waiting_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -99,7 +102,7 @@ fn a_set_point_that_was_pushed_out_does_not_go_before_a_stop_that_waits() {
 }
 
 #[test]
-fn a_broadcast_that_was_pushed_out_is_sent_again() {
+fn handed_back_broadcast_is_sent_again() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     let packets = sent(&mut master, ms(0));
@@ -109,7 +112,7 @@ fn a_broadcast_that_was_pushed_out_is_sent_again() {
 }
 
 #[test]
-fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is_told() {
+fn handed_back_broadcast_without_reply_is_sent_again_before_its_report() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Reset, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(0));
@@ -123,7 +126,7 @@ fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
+fn set_point_handed_back_when_too_old_is_not_sent_again() {
     let mut master = Master::<2>::new(Config::can(250_000));
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -135,7 +138,7 @@ fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
 }
 
 #[test]
-fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
+fn withdrawn_request_is_not_sent_once_it_is_handed_back() {
     let mut master = Master::<2>::new(Config::CAN);
     let ticket = master.request(id(1), step()).unwrap();
     let packets = sent(&mut master, ms(0));
@@ -144,9 +147,9 @@ fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
     assert_eq!(sent(&mut master, ms(1)), []);
 }
 
-/// Nor a set-point whose feedback is no longer waited for, unless it was not the newest by then.
+/// A newer set-point that was put since is sent.
 #[test]
-fn a_set_point_that_was_withdrawn_is_not_sent_once_it_is_handed_back() {
+fn withdrawn_set_point_is_not_sent_once_it_is_handed_back() {
     for has_newer in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -164,7 +167,7 @@ fn a_set_point_that_was_withdrawn_is_not_sent_once_it_is_handed_back() {
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_and_gives_way_counts_as_superseded() {
+fn handed_back_set_point_that_gives_way_counts_as_superseded() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -175,7 +178,7 @@ fn a_set_point_that_was_pushed_out_and_gives_way_counts_as_superseded() {
 
 /// The caller's own command may have reached the motor: its answer is no confirmation.
 #[test]
-fn a_stop_that_is_handed_back_leaves_the_answer_to_the_command_before_it_owed() {
+fn handed_back_stop_leaves_the_answer_to_an_earlier_shutdown_owed() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, Shutdown, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
@@ -186,7 +189,7 @@ fn a_stop_that_is_handed_back_leaves_the_answer_to_the_command_before_it_owed() 
 }
 
 #[test]
-fn a_set_point_of_long_ago_that_is_handed_back_is_not_the_one_in_flight() {
+fn handed_back_lost_set_point_is_not_taken_for_the_one_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let lost = sent(&mut master, ms(0))[0];
@@ -199,7 +202,7 @@ fn a_set_point_of_long_ago_that_is_handed_back_is_not_the_one_in_flight() {
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_goes_again_beside_a_read_that_waits() {
+fn handed_back_set_point_is_sent_again_while_a_read_waits() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -209,9 +212,9 @@ fn a_set_point_that_was_pushed_out_goes_again_beside_a_read_that_waits() {
     assert!(packets.contains(&pushed_out), "{packets:?}");
 }
 
-/// It counted as lost, and a stop takes its place before it goes again.
+/// The attempt counted as lost, and a stop takes its place before it is sent again.
 #[test]
-fn an_attempt_that_is_handed_back_behind_a_stop_was_not_lost() {
+fn attempt_handed_back_after_a_stop_does_not_count_as_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), ReadModel).unwrap();
     let read = sent(&mut master, ms(0))[0];
@@ -224,7 +227,7 @@ fn an_attempt_that_is_handed_back_behind_a_stop_was_not_lost() {
 
 /// A driver reports both at once: that it has taken a frame, and which one had to make way for it.
 #[test]
-fn what_was_taken_is_not_sent_again_when_what_made_way_for_it_is_handed_back_first() {
+fn move_taken_is_not_resent_if_the_displaced_frame_is_reported_first() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request(id(2), ReadMultiTurnAngle).unwrap();
     let made_way = sent(&mut master, ms(0))[0];
@@ -267,14 +270,14 @@ fn handed_back_before_it_is_said(offer: impl FnOnce(&mut Master<2>), first: bool
 }
 
 #[test]
-fn a_set_point_that_makes_a_shutdown_of_all_go_back_is_not_forgotten() {
+fn stop_is_in_doubt_after_a_set_point_pushed_a_shutdown_to_all_out() {
     let offer = |master: &mut Master<2>| master.set_point(id(1), torque(1.0), ms(4)).unwrap();
     assert_eq!(handed_back_before_it_is_said(offer, false), None);
     assert_eq!(handed_back_before_it_is_said(offer, true), None);
 }
 
 #[test]
-fn a_move_that_makes_a_shutdown_of_all_go_back_is_no_stop() {
+fn stop_is_in_doubt_after_a_move_pushed_a_shutdown_to_all_out() {
     let offer = |master: &mut Master<2>| {
         let _step = master.request(id(1), step()).unwrap();
     };
@@ -283,7 +286,7 @@ fn a_move_that_makes_a_shutdown_of_all_go_back_is_no_stop() {
 }
 
 #[test]
-fn what_is_offered_and_taken_does_not_become_too_old_meanwhile() {
+fn set_point_that_expires_between_offer_and_sending_counts_as_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -302,9 +305,9 @@ fn what_is_offered_and_taken_does_not_become_too_old_meanwhile() {
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), at), None);
 }
 
-/// Else its request has each turn of what makes way again and again.
+/// Otherwise the request of its motor has each turn of a set-point that makes way again and again.
 #[test]
-fn a_set_point_that_is_handed_back_has_its_turn_again() {
+fn handed_back_set_point_keeps_its_turn() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let _read = master.request(id(1), ReadModel).unwrap();
@@ -316,9 +319,9 @@ fn a_set_point_that_is_handed_back_has_its_turn_again() {
     }
 }
 
-/// It goes once more, and waits for the attempts of what was asked since, which do not wait for it.
+/// The lock is sent once more, and waits for the attempts of the read, which do not wait for it.
 #[test]
-fn what_ends_the_motion_of_all_and_what_was_asked_since_do_not_wait_for_each_other() {
+fn handed_back_lock_to_all_and_a_later_read_do_not_block_each_other() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(LockBrake, MotorSet::EMPTY).unwrap();
     let to_all = packet_to_all(LockBrake.encode());
@@ -334,9 +337,9 @@ fn what_ends_the_motion_of_all_and_what_was_asked_since_do_not_wait_for_each_oth
     assert_eq!(again, Some(63));
 }
 
-/// That of before was handed back and ended by a stop, so that it never went again.
+/// The earlier broadcast was handed back and ended by a stop, so that it was never sent again.
 #[test]
-fn a_new_command_to_all_holds_nobody_back_for_one_of_before() {
+fn new_broadcast_delays_no_request_for_an_earlier_handed_back_one() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
     let in_mailbox = sent(&mut master, ms(0))[0];
@@ -356,7 +359,7 @@ fn a_new_command_to_all_holds_nobody_back_for_one_of_before() {
 }
 
 #[test]
-fn a_stop_to_all_that_was_handed_back_keeps_its_claim_though_another_command_to_all_is_put() {
+fn handed_back_stop_to_all_is_sent_before_a_later_broadcast_and_read() {
     let mut master = Master::<1>::new(Config::CAN);
     let both: MotorSet = [id(1), id(2)].into();
     assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
@@ -371,9 +374,9 @@ fn a_stop_to_all_that_was_handed_back_keeps_its_claim_though_another_command_to_
     assert!(!packets.contains(&packet_to(1, ReadModel.encode())), "it may push that out again");
 }
 
-/// Long after the beginning.
+/// The stop is sent long after the start of the clock.
 #[test]
-fn a_stop_to_all_that_was_handed_back_once_is_pushed_out_by_no_read_again() {
+fn stop_to_all_handed_back_once_is_not_pushed_out_by_a_read_again() {
     let mut master = Master::<1>::new(Config::CAN);
     let both: MotorSet = [id(1), id(2)].into();
     assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
@@ -389,7 +392,7 @@ fn a_stop_to_all_that_was_handed_back_once_is_pushed_out_by_no_read_again() {
 }
 
 #[test]
-fn what_was_handed_back_once_keeps_its_claim_though_another_is_put_when_it_was_sent_again() {
+fn broadcast_handed_back_once_keeps_the_bus_though_the_next_is_put() {
     let mut master = Master::<2>::new(Config::CAN);
     let to_all = [packet_to_all(ReadModel.encode())];
     master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
@@ -405,7 +408,7 @@ fn what_was_handed_back_once_keeps_its_claim_though_another_is_put_when_it_was_s
 }
 
 #[test]
-fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
+fn broadcast_handed_back_once_is_not_pushed_out_by_a_read_again() {
     // Sooner than a reply time-out after the beginning, and long after it.
     for at in [2, 1_000] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -427,7 +430,7 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
 /// The bus has carried it. Otherwise a caller that asks all again at once would keep set-points back for ever: the bus
 /// is never quiet.
 #[test]
-fn what_was_handed_back_and_is_answered_keeps_nobody_back_though_the_next_is_put() {
+fn answered_broadcast_handed_back_before_delays_no_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     let to_all = packet_to_all(ReadMultiTurnAngle.encode());
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
@@ -444,9 +447,9 @@ fn what_was_handed_back_and_is_answered_keeps_nobody_back_though_the_next_is_put
     assert_eq!(sent(&mut master, answered), [to_all, packet_to(2, torque(1.0).encode())]);
 }
 
-/// The answer comes when the stop was handed back, and when it was sent again.
+/// The answer comes when the stop was handed back, or when it was sent again.
 #[test]
-fn an_answer_to_a_question_does_not_say_that_the_stop_to_all_behind_it_has_left_its_mailbox() {
+fn answer_to_a_read_to_all_does_not_show_that_a_stop_to_all_was_sent() {
     for is_sent_before in [false, true] {
         let mut master = Master::<1>::new(Config::CAN);
         let both: MotorSet = [id(1), id(2)].into();
@@ -468,9 +471,9 @@ fn an_answer_to_a_question_does_not_say_that_the_stop_to_all_behind_it_has_left_
     }
 }
 
-/// Motor 1 was told, and its answer is lost; what motor 2 was told came back when it was to be told something else.
+/// Motor 1 was stopped and its answer is lost; the hold of motor 2 came back after motor 2 was to be off.
 #[test]
-fn a_stop_that_was_handed_back_behind_another_has_told_nobody() {
+fn handed_back_hold_leaves_the_following_shutdown_a_first_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in [1, 2] {
         let _read = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
@@ -487,9 +490,10 @@ fn a_stop_that_was_handed_back_behind_another_has_told_nobody() {
     assert_eq!(sent(&mut master, ms(30)), [first, second]);
 }
 
-/// A motion command begins with a position, of which the first byte may be that of a Shutdown. Motor 1 was told first.
+/// A motion command begins with a position, of which the first byte may be that of a Shutdown. Motor 1 was stopped
+/// first.
 #[test]
-fn a_motion_command_that_is_handed_back_is_no_stop_whatever_its_first_byte() {
+fn handed_back_motion_command_is_not_taken_for_a_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     let motion = RawMotion::decode(&[0x80, 0, 0x80, 0, 0, 0, 0, 0]);
     master.set_point(id(1), motion, ms(0)).unwrap();
@@ -504,13 +508,13 @@ fn a_motion_command_that_is_handed_back_is_no_stop_whatever_its_first_byte() {
     assert_eq!(sent(&mut master, ms(4))[0], packet_to(2, Shutdown.encode()), "its first");
 }
 
-/// Motor 3 was told, and does not answer: its second is due, and older than whatever motor 1 is told.
+/// Motor 3 was stopped, and does not answer: its second stop is due, and older than that of motor 1.
 #[test]
-fn a_stop_that_is_handed_back_is_a_first_one_again_unless_its_motor_was_told_before() {
-    for was_told_before in [false, true] {
+fn handed_back_stop_is_a_first_one_unless_its_motor_was_held_before() {
+    for was_held_before in [false, true] {
         let mut master = Master::<4>::new(Config::CAN);
         let stop = packet_to(1, Shutdown.encode());
-        if was_told_before {
+        if was_held_before {
             // To hold; it is to be off now.
             master.stop(id(1), StopKind::Hold).unwrap();
             assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -522,13 +526,13 @@ fn a_stop_that_is_handed_back_is_a_first_one_again_unless_its_motor_was_told_bef
         assert_eq!(sent(&mut master, ms(10)), [stop]);
         master.handle_pushed_out(&stop);
         let stops = sent(&mut master, ms(30));
-        assert_eq!(stops.first() == Some(&stop), !was_told_before, "{stops:?}");
+        assert_eq!(stops.first() == Some(&stop), !was_held_before, "{stops:?}");
     }
 }
 
-/// Its first was sent, and never answered; it was heard since the second, which its controller hands back.
+/// The first stop of motor 3 was sent, and never answered; the motor was heard since the second, which comes back.
 #[test]
-fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
+fn handed_back_second_stop_is_sent_after_a_first_stop_of_another() {
     let mut master = Master::<4>::new(Config::CAN);
     let [first, second] = [1, 3].map(|motor| packet_to(motor, Shutdown.encode()));
     master.stop(id(3), StopKind::Off).unwrap();
@@ -536,7 +540,7 @@ fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
         assert_eq!(sent(&mut master, ms(at)), [second], "{at}");
     }
     reply(&mut master, 3, ANGLE_REPLY, ms(24)).unwrap();
-    // Motor 1 is sent something after that: only that it was not told to stop yet brings it forward.
+    // Motor 1 is sent something after that: only that it has got no stop yet brings it forward.
     master.set_point(id(1), torque(1.0), ms(25)).unwrap();
     assert_eq!(sent(&mut master, ms(25)), [packet_to(1, torque(1.0).encode())]);
     master.handle_pushed_out(&second);
@@ -544,10 +548,10 @@ fn a_second_stop_that_is_handed_back_goes_behind_who_was_told_nothing_yet() {
     assert_eq!(sent(&mut master, ms(26)), [first, second]);
 }
 
-/// The second of motor 2, which was to be held and then to be off. The hold comes back, so it may not have been told
-/// before; but the other was sent.
+/// Motor 2 was to be held and then to be off. The hold comes back, so it may not have reached the motor; but the
+/// shutdown was sent.
 #[test]
-fn a_stop_that_was_sent_once_is_no_first_one_though_another_is_handed_back() {
+fn shutdown_sent_once_is_no_first_stop_though_the_hold_is_handed_back() {
     let mut master = Master::<4>::new(Config::CAN);
     let [first, second] = [1, 2].map(|motor| packet_to(motor, Shutdown.encode()));
     master.stop(id(2), StopKind::Hold).unwrap();
@@ -565,7 +569,7 @@ fn a_stop_that_was_sent_once_is_no_first_one_though_another_is_handed_back() {
 
 /// No motor is kept back any more for a frame that no longer makes way.
 #[test]
-fn who_has_answered_since_it_made_way_is_waited_for_no_more() {
+fn motor_that_answered_since_its_frame_was_handed_back_delays_no_other() {
     let mut master = Master::<2>::new(Config::CAN);
     let stop = packet_to(1, Shutdown.encode());
     master.stop(id(1), StopKind::Off).unwrap();

@@ -4,7 +4,7 @@ use super::*;
 use crate::command::ReadStatus2;
 
 #[test]
-fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
+fn active_report_cannot_be_requested_and_answers_no_request() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
     events(&mut master, ms(7));
@@ -18,13 +18,14 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
 }
 
 #[test]
-fn who_reports_one_thing_less_goes_on_reporting_another_and_may_be_asked_the_rest() {
+fn switching_one_report_off_leaves_another_on() {
     let mut master = Master::<2>::new(Config::CAN);
     let command = ReportedCommand::of(Opcode::ReadStatus1).unwrap();
     let status = ActiveReply { command, ..report_angle(Switch::On) };
-    for (at, told) in [(0, status), (10, report_angle(Switch::On)), (20, report_angle(Switch::Off))]
+    for (at, report) in
+        [(0, status), (10, report_angle(Switch::On)), (20, report_angle(Switch::Off))]
     {
-        let _ = ask(&mut master, 1, told, ms(at));
+        let _ = ask(&mut master, 1, report, ms(at));
         events(&mut master, ms(at + 7));
     }
     let refused = master.request(id(1), ReadStatus1).unwrap_err();
@@ -33,7 +34,7 @@ fn who_reports_one_thing_less_goes_on_reporting_another_and_may_be_asked_the_res
 }
 
 #[test]
-fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
+fn reported_value_can_be_requested_again_after_a_reset() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
     events(&mut master, ms(7));
@@ -44,7 +45,7 @@ fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
 }
 
 #[test]
-fn what_all_are_told_to_report_is_known_of_each() {
+fn report_switched_on_for_all_is_known_of_each_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -81,34 +82,34 @@ fn a_late_reply_with_the_status_is_a_report_if_it_has_errors() {
 }
 
 #[test]
-fn errors_are_told_also_where_the_status_was_asked_of_all() {
+fn errors_are_a_report_though_the_status_was_asked_of_other_motors() {
     let errors = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     master.broadcast(ReadStatus1, id(2).into()).unwrap();
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
-    let told = reply(&mut master, 1, errors, ms(3));
-    assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
+    let reported = reply(&mut master, 1, errors, ms(3));
+    assert!(matches!(reported, Some(Event::Report { .. })), "{reported:?}");
 }
 
-/// No drive answers so soon.
+/// No drive answers within 200 us.
 #[test]
-fn errors_that_are_told_before_a_motor_can_have_answered_all_are_a_report() {
+fn errors_sooner_than_a_motor_can_answer_a_broadcast_are_a_report() {
     let errors = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     master.broadcast(ReadStatus1, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
-    let told = reply(&mut master, 1, errors, ms(2) + Duration::from_micros(200));
-    assert!(matches!(told, Some(Event::Report { .. })), "{told:?}");
+    let reported = reply(&mut master, 1, errors, ms(2) + Duration::from_micros(200));
+    assert!(matches!(reported, Some(Event::Report { .. })), "{reported:?}");
     let answer = reply(&mut master, 1, errors, ms(3));
     assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
 }
 
 #[test]
-fn an_error_report_is_told_as_a_report() {
+fn unrequested_error_status_is_a_report() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let event = reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, 2, 0], ms(1)).unwrap();
@@ -116,7 +117,7 @@ fn an_error_report_is_told_as_a_report() {
 }
 
 #[test]
-fn an_error_report_is_told_while_something_else_may_come_late() {
+fn unrequested_error_status_is_a_report_while_a_late_reply_is_due() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, step(), ms(0));
     events(&mut master, ms(21));
@@ -125,7 +126,7 @@ fn an_error_report_is_told_while_something_else_may_come_late() {
 }
 
 #[test]
-fn a_motor_that_reports_no_more_may_be_asked_again() {
+fn value_can_be_requested_again_once_its_reports_stay_away() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
     events(&mut master, ms(7));
@@ -139,7 +140,7 @@ fn a_motor_that_reports_no_more_may_be_asked_again() {
 }
 
 #[test]
-fn a_motor_that_reports_seldom_is_waited_for_longer() {
+fn seldom_reports_are_missed_after_three_intervals_and_a_second() {
     let mut master = Master::<2>::new(Config::CAN);
     let interval = ReportInterval::from_raw(100); // 1 s
     let _ = ask(&mut master, 1, ActiveReply { interval, ..report_angle(Switch::On) }, ms(0));
@@ -153,7 +154,7 @@ fn a_motor_that_reports_seldom_is_waited_for_longer() {
 }
 
 #[test]
-fn what_a_motor_without_a_place_says_is_a_report_if_it_can_be_one() {
+fn frame_of_an_unknown_motor_is_a_report_if_it_can_be_one() {
     let mut master = Master::<2>::new(Config::CAN);
     let angle = reply(&mut master, 1, ANGLE_REPLY, ms(0)).unwrap();
     assert!(matches!(angle, Event::Report { .. }), "{angle:?}");

@@ -11,9 +11,9 @@ fn is_restart(master: &mut Master<2>, sent_us: u64, after_us: u64, degrees: i16)
     let [low, high] = degrees.to_le_bytes();
     let event = reply(master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, low, high], then);
     assert!(matches!(event, Some(Event::Feedback { .. })), "{event:?}");
-    let told = events(master, then);
-    assert!(told.iter().all(|event| matches!(event, Event::Restarted { .. })), "{told:?}");
-    !told.is_empty()
+    let reported = events(master, then);
+    assert!(reported.iter().all(|event| matches!(event, Event::Restarted { .. })), "{reported:?}");
+    !reported.is_empty()
 }
 
 /// Whether that angle, and then this one, each a millisecond after its set-point, shows a restart.
@@ -24,7 +24,7 @@ fn is_jump(first: i16, second: i16, between_us: u64) -> bool {
 }
 
 #[test]
-fn a_turn_that_is_lost_under_a_stream_is_a_restart() {
+fn turn_lost_during_a_stream_is_a_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     for cycle in 0..5 {
         assert!(!is_restart(&mut master, 4_000 * cycle, 1_000, 720));
@@ -34,10 +34,10 @@ fn a_turn_that_is_lost_under_a_stream_is_a_restart() {
     let moving = master.request(id(1), step()).unwrap();
     master.set_point(id(1), torque(2.0), ms(20)).unwrap();
     reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 0x68, 1], ms(21)).unwrap();
-    let told = events(&mut master, ms(21));
-    assert!(told.contains(&Event::Restarted { motor: id(1) }), "720 became 360: {told:?}");
-    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
-    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
+    let reported = events(&mut master, ms(21));
+    assert!(reported.contains(&Event::Restarted { motor: id(1) }), "720 became 360: {reported:?}");
+    assert!(reported.contains(&Event::SetPointDropped { motor: id(1) }), "{reported:?}");
+    assert!(reported.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
     assert_eq!(sent(&mut master, ms(21)), []);
     let refused = master.set_point(id(1), torque(1.0), ms(21));
     assert_eq!(refused, Err(RequestError::Restarted));
@@ -47,7 +47,7 @@ fn a_turn_that_is_lost_under_a_stream_is_a_restart() {
 }
 
 #[test]
-fn what_the_fastest_motor_turns_is_no_restart() {
+fn angle_that_the_fastest_motor_can_reach_is_no_restart() {
     // 500 dps, for a second; and in steps of a second, of which some replies were lost.
     let mut master = Master::<2>::new(Config::CAN);
     for cycle in 0..100 {
@@ -69,12 +69,12 @@ fn what_the_fastest_motor_turns_is_no_restart() {
 }
 
 #[test]
-fn an_angle_of_nobody_knows_when_shows_no_restart() {
+fn angle_of_unknown_time_shows_no_restart() {
     // The reply that waited for 18 ms on its way is as old as its set-point.
-    for (waited_us, is_told) in [(18_000, true), (18_100, false)] {
+    for (waited_us, is_reported) in [(18_000, true), (18_100, false)] {
         let mut master = Master::<2>::new(Config::CAN);
         is_restart(&mut master, 0, waited_us, 0);
-        assert_eq!(is_restart(&mut master, 20_000, 1_000, 360), is_told, "{waited_us}");
+        assert_eq!(is_restart(&mut master, 20_000, 1_000, 360), is_reported, "{waited_us}");
     }
     // One that is late.
     let mut master = Master::<2>::new(Config::CAN);
@@ -86,9 +86,9 @@ fn an_angle_of_nobody_knows_when_shows_no_restart() {
     assert!(!is_restart(&mut master, 131_000, 1_000, 360));
 }
 
-/// One reply was lost, and while the stream does not rest each may be that to the set-point before.
+/// While the stream does not rest, each reply may be that to the set-point before.
 #[test]
-fn a_reply_that_was_lost_hides_no_restart() {
+fn lost_reply_hides_no_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -99,9 +99,9 @@ fn a_reply_that_was_lost_hides_no_restart() {
     assert!(is_restart(&mut master, 221_000, 1_000, 360));
 }
 
-/// Neither one that comes after its time-out, nor one that takes long: where the motor was before is known.
+/// The reply comes after its time-out, or takes long: where the motor was before is known.
 #[test]
-fn a_reply_of_nobody_knows_when_hides_no_restart() {
+fn reply_of_unknown_time_hides_no_restart() {
     for (lost_at, answered_us) in [(None, 19_000), (Some(ms(25)), 22_000)] {
         let mut master = Master::<2>::new(Config::CAN);
         assert!(!is_restart(&mut master, 0, 1_000, 720));
@@ -119,7 +119,7 @@ fn a_reply_of_nobody_knows_when_hides_no_restart() {
 }
 
 #[test]
-fn the_echo_of_a_set_point_has_no_angle() {
+fn echo_of_a_set_point_shows_no_restart() {
     // The message of a drive that has lost its master was lost, and an echo that is all 0 counts as feedback.
     let mut master = Master::<2>::new(Config::CAN);
     for (cycle, data) in
@@ -137,7 +137,7 @@ fn the_echo_of_a_set_point_has_no_angle() {
 }
 
 #[test]
-fn angles_of_two_scales_are_not_held_against_each_other() {
+fn angles_of_two_scales_are_not_compared() {
     // Motion mode clips at ±12.5 rad, or at what its firmware has for that.
     let mut master = Master::<2>::new(Config::CAN);
     for cycle in 0..4 {
@@ -165,8 +165,8 @@ fn a_stop_does_not_shorten_the_pause_of_a_restart() {
                 _ => read_at = read_at.or(Some(now)),
             }
         }
-        let told = events(&mut master, ms(now));
-        if told.contains(&Event::StopUnconfirmed { motor: id(1) }) {
+        let reported = events(&mut master, ms(now));
+        if reported.contains(&Event::StopUnconfirmed { motor: id(1) }) {
             master.lift_stop();
             let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
         }
@@ -176,12 +176,15 @@ fn a_stop_does_not_shorten_the_pause_of_a_restart() {
 }
 
 #[test]
-fn a_stream_does_not_go_on_behind_a_restart_that_was_asked_for() {
+fn stream_is_refused_after_a_reset_until_the_motor_is_resumed() {
     let mut master = Master::<2>::new(Config::CAN);
     let reset = ask(&mut master, 1, Reset, ms(0));
-    let told = events(&mut master, ms(0));
-    assert!(told.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{told:?}");
-    assert!(told.contains(&Event::Restarted { motor: id(1) }), "for whoever streams: {told:?}");
+    let reported = events(&mut master, ms(0));
+    assert!(reported.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{reported:?}");
+    assert!(
+        reported.contains(&Event::Restarted { motor: id(1) }),
+        "for whoever streams: {reported:?}"
+    );
     for now in [1, 2_000, 3_000] {
         let refused = master.set_point(id(1), torque(1.0), ms(now));
         assert_eq!(refused, Err(RequestError::Restarted), "its turns are lost");
@@ -192,7 +195,7 @@ fn a_stream_does_not_go_on_behind_a_restart_that_was_asked_for() {
 }
 
 #[test]
-fn what_waits_behind_a_restart_does_not_move_the_motor() {
+fn set_point_that_waits_when_a_reset_is_sent_is_dropped() {
     let mut master = Master::<2>::new(Config::CAN);
     let _reset = master.request(id(1), Reset).unwrap();
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -201,7 +204,7 @@ fn what_waits_behind_a_restart_does_not_move_the_motor() {
 }
 
 #[test]
-fn nor_does_a_stream_go_on_behind_a_restart_of_all() {
+fn stream_is_refused_after_a_reset_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!is_restart(&mut master, 0, 1_000, 0));
     master.broadcast(Reset, MotorSet::EMPTY).unwrap();
@@ -211,7 +214,7 @@ fn nor_does_a_stream_go_on_behind_a_restart_of_all() {
 }
 
 #[test]
-fn a_restart_is_heard_before_a_move_of_all_that_waits() {
+fn seen_restart_ends_a_waiting_move_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!is_restart(&mut master, 0, 1_000, 720));
     // It waits for the read, whose repetition could be taken for an answer to it.
@@ -228,7 +231,7 @@ fn a_restart_is_heard_before_a_move_of_all_that_waits() {
 }
 
 #[test]
-fn one_error_of_the_bus_is_neither_a_restart_nor_silence() {
+fn one_or_two_bus_errors_are_neither_a_restart_nor_silence() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!is_restart(&mut master, 0, 1_000, 0));
     // It rested for longer than a restart takes.
@@ -244,24 +247,24 @@ fn one_error_of_the_bus_is_neither_a_restart_nor_silence() {
 }
 
 #[test]
-fn a_stream_does_not_go_on_by_itself_after_a_restart() {
+fn stream_is_refused_after_a_second_of_silence_until_resumed() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut now = 0;
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
     motion_feedback(&mut master, ms(1)).unwrap();
     // Silent for 1 s, as long as a restart takes: the first set-point that it heard then would move it.
-    let told = loop {
+    let reported_at = loop {
         now += 5;
         let _is_refused = master.set_point(id(1), motion(), ms(now));
         sent(&mut master, ms(now));
-        let told = events(&mut master, ms(now + 4));
-        if told.contains(&Event::Restarted { motor: id(1) }) {
+        let reported = events(&mut master, ms(now + 4));
+        if reported.contains(&Event::Restarted { motor: id(1) }) {
             break now;
         }
-        assert!(now < 2_000, "{told:?}");
+        assert!(now < 2_000, "{reported:?}");
     };
-    assert!((1_000..1_030).contains(&told), "{told}");
+    assert!((1_000..1_030).contains(&reported_at), "{reported_at}");
     let refused = master.set_point(id(1), motion(), ms(now + 5));
     assert_eq!(refused, Err(RequestError::Restarted));
     assert_eq!(sent(&mut master, ms(now + 5)), []);
@@ -284,22 +287,23 @@ fn has_run(master: &mut Master<2>, run_ms: u32, at: u64) -> bool {
     let _ = ask(master, 1, ReadRunTime, ms(at - 1));
     let [a, b, c, d] = run_ms.to_le_bytes();
     reply(master, 1, [0xB1, 0, 0, 0, a, b, c, d], ms(at)).unwrap();
-    let is_told = events(master, ms(at)).contains(&Event::Restarted { motor: id(1) });
+    let is_reported = events(master, ms(at)).contains(&Event::Restarted { motor: id(1) });
     master.resume(id(1));
-    is_told
+    is_reported
 }
 
 #[test]
-fn a_run_time_that_goes_back_is_that_of_a_restart() {
+fn run_time_that_goes_back_is_a_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     for (at, run_ms) in [(1, 60_000), (11, 60_010), (21, 300)] {
         assert_eq!(has_run(&mut master, run_ms, at), at == 21, "{at}");
     }
 }
 
-/// The power was off while it was not asked: it has run for longer than it said then, and for less long than since.
+/// The power was off while the motor was not asked: it has run for longer than it said then, and for less long than
+/// since.
 #[test]
-fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
+fn motor_with_a_run_time_shorter_than_it_is_known_has_restarted() {
     // It was heard at 1 ms, or has said then how long it had run.
     for has_said in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -318,7 +322,7 @@ fn who_has_run_for_less_long_than_it_is_known_has_restarted() {
 
 /// However long the master itself has run.
 #[test]
-fn who_is_heard_for_the_first_time_may_have_been_switched_on_just_then() {
+fn short_run_time_of_a_motor_heard_first_is_no_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, 1_500, 60_000));
     let mut master = Master::<2>::new(Config::CAN);
@@ -327,22 +331,22 @@ fn who_is_heard_for_the_first_time_may_have_been_switched_on_just_then() {
     assert!(!has_run(&mut master, 1_500, 60_000));
 }
 
-/// It is known for 11 s, and has run for 9 s. A long time-out for an answer that comes at once changes nothing.
+/// The motor is known for 11 s, and has run for 9 s. A long time-out for an answer that comes at once changes nothing.
 #[test]
-fn a_patient_question_tells_a_restart_as_an_impatient_one_does() {
+fn patient_read_of_the_run_time_shows_a_restart_like_any_other() {
     for timeout_ms in [20, 2_000] {
         let mut master = Master::<2>::new(Config::CAN);
         assert!(!has_run(&mut master, 1_000, 1));
         let _read = master.request_with(id(1), ReadRunTime, once(timeout_ms)).unwrap();
         assert_eq!(sent(&mut master, ms(10_000)).len(), 1);
         reply(&mut master, 1, [0xB1, 0, 0, 0, 0x28, 0x23, 0, 0], ms(10_001)).unwrap();
-        let told = events(&mut master, ms(10_001));
-        assert_eq!(told, [Event::Restarted { motor: id(1) }], "{timeout_ms}");
+        let reported = events(&mut master, ms(10_001));
+        assert_eq!(reported, [Event::Restarted { motor: id(1) }], "{timeout_ms}");
     }
 }
 
 #[test]
-fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
+fn drives_clock_may_differ_by_a_hundredth_and_wrap_after_seven_weeks() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, 1_000, 1));
     // By a hundredth slow, and then fast.
@@ -371,7 +375,7 @@ fn a_drives_clock_may_differ_and_its_time_begin_anew_after_seven_weeks() {
 }
 
 #[test]
-fn a_restart_by_command_is_told_once() {
+fn reset_is_reported_as_a_restart_once() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!has_run(&mut master, 60_000, 1));
     let _reset = ask(&mut master, 1, Reset, ms(2));
@@ -381,9 +385,9 @@ fn a_restart_by_command_is_told_once() {
     assert!(!has_run(&mut master, 1_900, 3_000));
 }
 
-/// Its stop was not confirmed, and is lifted: it was not asked anything since.
+/// The stop was lifted, and the motor was asked nothing since.
 #[test]
-fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
+fn motor_silent_for_a_second_after_an_unconfirmed_stop_is_not_moved() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -401,9 +405,9 @@ fn who_did_not_answer_and_was_silent_for_a_second_is_not_moved_once() {
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
 }
 
-/// It was resumed before it was asked for the last time, and did not answer that.
+/// The motor was resumed before it was asked for the last time, and did not answer that for a second.
 #[test]
-fn who_was_resumed_and_did_not_answer_since_is_not_moved_once() {
+fn motor_resumed_before_an_unanswered_request_is_not_moved() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -420,7 +424,7 @@ fn who_was_resumed_and_did_not_answer_since_is_not_moved_once() {
 }
 
 #[test]
-fn all_are_not_moved_while_one_of_them_did_not_answer_and_was_silent_for_a_second() {
+fn move_to_all_is_refused_while_a_motor_was_silent_for_a_second() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -434,7 +438,7 @@ fn all_are_not_moved_while_one_of_them_did_not_answer_and_was_silent_for_a_secon
 }
 
 #[test]
-fn a_motor_that_nobody_asked_for_long_has_not_restarted() {
+fn motor_that_was_not_asked_for_long_has_not_restarted() {
     let mut master = Master::<2>::new(Config::CAN);
     for at in [0, 2_000] {
         let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(at));
@@ -444,7 +448,7 @@ fn a_motor_that_nobody_asked_for_long_has_not_restarted() {
 }
 
 #[test]
-fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
+fn move_that_waits_when_a_restart_is_seen_is_dropped() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -459,13 +463,13 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
     let moving = master.request(id(1), step()).unwrap();
     reply(&mut master, 1, TORQUE_REPLY, ms(1_002)).unwrap();
     assert_eq!(sent(&mut master, ms(1_002)), []);
-    let told = events(&mut master, ms(1_002));
-    assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
-    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
+    let reported = events(&mut master, ms(1_002));
+    assert!(reported.contains(&Event::Restarted { motor: id(1) }), "{reported:?}");
+    assert!(reported.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
 
 #[test]
-fn a_restart_that_the_caller_has_found_out_is_as_one_that_was_seen() {
+fn restart_noted_by_the_caller_drops_and_refuses_set_points() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -473,13 +477,16 @@ fn a_restart_that_the_caller_has_found_out_is_as_one_that_was_seen() {
     master.note_restart(id(1));
     assert!(master.has_restarted(id(1)) && !master.has_restarted(id(2)));
     assert_eq!(sent(&mut master, ms(2)), []);
-    let told = events(&mut master, ms(2));
-    assert_eq!(told, [Event::SetPointDropped { motor: id(1) }, Event::Restarted { motor: id(1) }]);
+    let reported = events(&mut master, ms(2));
+    assert_eq!(
+        reported,
+        [Event::SetPointDropped { motor: id(1) }, Event::Restarted { motor: id(1) }]
+    );
     assert_eq!(master.set_point(id(1), motion(), ms(3)), Err(RequestError::Restarted));
 }
 
 #[test]
-fn what_was_sent_before_a_restart_and_is_handed_back_does_not_go_once_that_is_known() {
+fn move_handed_back_after_a_noted_restart_is_not_sent_again() {
     for is_stream in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         if is_stream {
@@ -498,7 +505,7 @@ fn what_was_sent_before_a_restart_and_is_handed_back_does_not_go_once_that_is_kn
 
 /// On the scale of V4.3 a turn of 2 pi rad is 65,535 / 25 rad * 6.2832 rad = 16,471 steps.
 #[test]
-fn a_turn_that_is_lost_in_motion_mode_is_a_jump() {
+fn turn_lost_in_motion_mode_is_a_restart() {
     let is_jump = |first: u16, second: u16, between_us: u64| {
         let mut master = Master::<2>::new(Config::CAN);
         let mut now = ms(1);
@@ -518,7 +525,7 @@ fn a_turn_that_is_lost_in_motion_mode_is_a_jump() {
         assert!(is_jump(40_000, 40_000 - 16_471, between_us), "{between_us}");
         assert!(is_jump(20_000, 20_000 + 16_471, between_us), "{between_us}");
     }
-    // 45 rad/s, the most that V4.3 can tell: 118 steps in a millisecond.
+    // 45 rad/s, the most that V4.3 can report: 118 steps in a millisecond.
     for between_us in [1_000, 2_000, 10_000, 16_000] {
         let turned = (118 * between_us / 1_000) as u16;
         assert!(!is_jump(40_000, 40_000 - turned, between_us), "{between_us}");
@@ -529,7 +536,7 @@ fn a_turn_that_is_lost_in_motion_mode_is_a_jump() {
 }
 
 #[test]
-fn what_waits_behind_a_restart_that_the_caller_has_found_goes_in_time() {
+fn poll_at_is_right_for_a_move_after_a_noted_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     let patient = Patience { reply_timeout: Duration::from_millis(20), attempts: 2 };
     let _ = master.request_with(id(1), step(), patient).unwrap();
@@ -544,18 +551,18 @@ fn what_waits_behind_a_restart_that_the_caller_has_found_goes_in_time() {
 }
 
 #[test]
-fn a_motor_that_stays_silent_is_told_to_have_restarted_once() {
+fn restart_of_a_motor_that_stays_silent_is_reported_once() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    let mut told = 0;
+    let mut reported = 0;
     for now in (1_100..1_500).step_by(10) {
         let _ = master.request(id(1), ReadMultiTurnAngle);
         sent(&mut master, ms(now));
         let restarted = Event::Restarted { motor: id(1) };
-        told += events(&mut master, ms(now)).iter().filter(|&&it| it == restarted).count();
+        reported += events(&mut master, ms(now)).iter().filter(|&&it| it == restarted).count();
     }
-    assert_eq!(told, 1);
+    assert_eq!(reported, 1);
 }
 
 /// Motor 1 gets a set-point, and says in its feedback that it is there. Returns what comes of that.
@@ -567,9 +574,9 @@ fn streams(master: &mut Master<2>, degrees: i16, at: u64) -> Vec<Event> {
     events(master, ms(at + 1))
 }
 
-/// What its stream said before the restart is no place to tell a jump from.
+/// The angle of the stream before the restart is no place to measure a jump from.
 #[test]
-fn the_first_feedback_after_a_restart_that_is_known_tells_no_other() {
+fn first_feedback_after_a_noted_restart_shows_no_other_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     assert_eq!(streams(&mut master, 2_000, 0), []);
     assert_eq!(streams(&mut master, 2_000, 2), []);
@@ -580,7 +587,7 @@ fn the_first_feedback_after_a_restart_that_is_known_tells_no_other() {
 }
 
 #[test]
-fn each_call_with_a_time_says_what_time_it_is() {
+fn each_call_with_a_time_sets_the_time() {
     let calls: [fn(&mut Master<2>, Instant); 4] = [
         |master, now| assert!(reply(master, 2, ANGLE_REPLY, now).is_some()),
         |master, now| assert!(master.poll_transmit(now).is_none()),
@@ -596,7 +603,7 @@ fn each_call_with_a_time_says_what_time_it_is() {
 
 /// The answer to a broadcast is taken for feedback: where the motor was then is not known.
 #[test]
-fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
+fn feedback_that_may_answer_a_broadcast_shows_no_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -606,7 +613,7 @@ fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
 }
 
 #[test]
-fn who_notes_a_restart_and_resumes_at_once_lets_no_older_move_of_all_go() {
+fn restart_noted_and_resumed_at_once_drops_an_older_move_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -619,15 +626,15 @@ fn who_notes_a_restart_and_resumes_at_once_lets_no_older_move_of_all_go() {
 }
 
 #[test]
-fn a_restart_that_the_caller_notes_counts_for_a_motor_without_a_place_too() {
+fn restart_noted_of_a_motor_without_a_place_refuses_moves() {
     let mut master = Master::<2>::new(Config::CAN);
     master.note_restart(id(1));
     assert_eq!(master.request(id(1), step()).err(), Some(RequestError::Restarted));
 }
 
-/// What another master says to it on a line may be that, for one; at once, or a while later.
+/// The frame may be what another master says to the motor on a line; it comes at once, or a while later.
 #[test]
-fn who_is_first_heard_while_it_restarts_has_restarted_once() {
+fn motor_first_heard_during_its_restart_has_restarted_once() {
     for heard in [13, 83] {
         let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
         let _ = master.request(id(1), Reset).unwrap();

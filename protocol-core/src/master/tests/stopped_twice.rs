@@ -21,7 +21,7 @@ fn answers_that_confirm(before: impl FnOnce(&mut Master<2>)) -> u32 {
 }
 
 #[test]
-fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
+fn motor_moved_by_a_broadcast_confirms_a_stop_with_its_second_answer() {
     let moves = |master: &mut Master<2>| {
         master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
         sent(master, ms(10));
@@ -81,7 +81,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
 }
 
 #[test]
-fn what_ended_motion_but_half_says_nothing_of_a_move_of_all() {
+fn shutdown_answered_once_does_not_show_that_a_move_to_all_arrived() {
     let shut_down_once = |master: &mut Master<2>| {
         master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
         sent(master, ms(10));
@@ -90,15 +90,15 @@ fn what_ended_motion_but_half_says_nothing_of_a_move_of_all() {
         assert_eq!(reply(master, 1, Shutdown.encode(), ms(211)), None);
         // The bus is cut before it goes once more.
         master.handle_bus_down(ms(212));
-        let told = events(master, ms(212));
-        assert!(told.iter().any(|event| ticket.outcome(event) == Some(Err(Failure::BusDown))));
+        let reported = events(master, ms(212));
+        assert!(reported.iter().any(|event| ticket.outcome(event) == Some(Err(Failure::BusDown))));
         reply(master, 2, ANGLE_REPLY, ms(400));
     };
     assert_eq!(answers_that_confirm(shut_down_once), 2);
 }
 
 #[test]
-fn a_set_point_that_was_given_up_in_a_cut_is_over_by_two_answers_where_nothing_was_heard_since() {
+fn set_point_lost_in_a_cut_takes_a_stop_two_answers() {
     let given_up = |master: &mut Master<2>| {
         master.set_point(id(1), motion(), ms(0)).unwrap();
         sent(master, ms(0));
@@ -144,7 +144,7 @@ fn confirmed_after(master: &mut Master<2>, at: u64) -> u64 {
 }
 
 #[test]
-fn the_second_answer_counts_a_late_window_after_the_first() {
+fn second_answer_confirms_a_late_window_after_the_first() {
     let window = Config::CAN.late_window.as_millis();
     let mut master = Master::<2>::new(Config::CAN);
     moved_in_a_cut(&mut master);
@@ -168,16 +168,16 @@ fn the_second_answer_counts_a_late_window_after_the_first() {
 }
 
 #[test]
-fn no_answer_to_anything_else_of_all_is_one_to_the_move() {
+fn answer_to_another_broadcast_does_not_answer_the_move_to_all() {
     for command in [ReadMultiTurnAngle.encode(), Stop.encode(), torque(2.0).encode()] {
         let mut master = Master::<2>::new(Config::CAN);
         moved_in_a_cut(&mut master);
-        let (answer, told) = match command[0] {
+        let (answer, accepted) = match command[0] {
             0x92 => (ANGLE_REPLY, master.broadcast(ReadMultiTurnAngle, id(1).into())),
             0x81 => (command, master.broadcast(Stop, id(1).into())),
             _ => (TORQUE_REPLY, master.broadcast(torque(2.0), id(1).into())),
         };
-        told.unwrap();
+        accepted.unwrap();
         sent(&mut master, ms(400));
         reply(&mut master, 1, answer, ms(401)).unwrap();
         events(&mut master, ms(401));
@@ -186,7 +186,7 @@ fn no_answer_to_anything_else_of_all_is_one_to_the_move() {
 }
 
 #[test]
-fn of_two_set_points_in_a_cut_the_answer_to_the_first_says_nothing_of_the_second() {
+fn answer_to_the_first_of_two_set_points_in_a_cut_is_not_the_seconds() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -201,7 +201,7 @@ fn of_two_set_points_in_a_cut_the_answer_to_the_first_says_nothing_of_the_second
 }
 
 #[test]
-fn a_line_keeps_its_order_so_that_the_first_answer_after_a_move_of_all_confirms_a_stop() {
+fn on_rs485_first_answer_after_a_move_to_all_confirms_a_stop() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -213,7 +213,7 @@ fn a_line_keeps_its_order_so_that_the_first_answer_after_a_move_of_all_confirms_
 }
 
 #[test]
-fn a_brake_that_was_released_with_all_is_one_that_moves() {
+fn stop_after_a_brake_release_to_all_takes_two_answers() {
     assert_eq!(
         answers_that_confirm(|master| {
             master.broadcast(ReleaseBrake, MotorSet::EMPTY).unwrap();
@@ -224,9 +224,9 @@ fn a_brake_that_was_released_with_all_is_one_that_moves() {
     );
 }
 
-/// Where answers may come at once, each may be the last one doubled.
+/// Where answers may come at once, each may be a duplicate of the last one.
 #[test]
-fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
+fn stops_whose_answers_may_be_duplicates_are_confirmed_in_the_end() {
     let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
     let mut master = Master::<2>::new(config);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -253,7 +253,7 @@ fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
 
 /// Two answers to a stop that was lifted are pending.
 #[test]
-fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
+fn duplicate_of_an_owed_answer_causes_no_other_attempt() {
     let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
     let mut master = Master::<2>::new(config);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -273,7 +273,7 @@ fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
 }
 
 #[test]
-fn a_stop_that_is_cut_off_behind_its_first_answer_is_not_confirmed_by_one_more() {
+fn stop_cut_off_after_its_first_answer_is_not_confirmed_by_the_next() {
     let mut master = Master::<2>::new(Config::CAN);
     // It is in a mailbox: commands to one motor are more urgent.
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -292,7 +292,7 @@ fn a_stop_that_is_cut_off_behind_its_first_answer_is_not_confirmed_by_one_more()
 }
 
 #[test]
-fn a_stop_never_owes_more_answers_than_two_stops_can() {
+fn stop_sent_for_long_owes_no_more_answers_than_two_stops() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let mut now = 0;
@@ -319,8 +319,7 @@ fn a_stop_never_owes_more_answers_than_two_stops_can() {
 }
 
 #[test]
-fn a_stop_that_was_not_answered_in_a_cut_is_over_by_two_answers_whatever_is_heard_before_the_first()
-{
+fn first_answer_after_a_cut_confirms_no_stop_though_others_were_heard() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_stop_goes_before_everything_and_keeps_motion_away() {
+fn stop_of_all_is_sent_first_and_refuses_motion_until_lifted() {
     let mut master = Master::<4>::new(Config::CAN);
     let in_flight = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -12,10 +12,10 @@ fn a_stop_goes_before_everything_and_keeps_motion_away() {
     let packets = sent(&mut master, ms(1));
     assert_eq!(packets.len(), 3, "motors 1, 2 and 7, whatever is in flight");
     assert!(packets.iter().all(|packet| packet.data == Shutdown.encode()));
-    let told = events(&mut master, ms(1));
-    assert!(told.iter().any(|event| in_flight.outcome(event) == Some(Err(Failure::Stopped))));
-    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
-    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+    let reported = events(&mut master, ms(1));
+    assert!(reported.iter().any(|event| in_flight.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(reported.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(reported.contains(&Event::SetPointDropped { motor: id(1) }));
 
     assert_eq!(master.set_point(id(1), torque(1.0), ms(2)), Err(RequestError::Stopped));
     assert_eq!(master.request(id(3), step()).unwrap_err(), RequestError::Stopped);
@@ -23,7 +23,7 @@ fn a_stop_goes_before_everything_and_keeps_motion_away() {
         let event = reply(&mut master, motor, Shutdown.encode(), ms(2));
         assert_eq!(event, Some(Event::StopConfirmed { motor: id(motor) }));
     }
-    // Motor 7 is not there: it is sent 15 stops, then the caller is told.
+    // Motor 7 is not there: it is sent 15 stops, then that is reported.
     let mut frames = 1;
     let mut now = 2;
     while master.is_anything_in_flight() {
@@ -43,15 +43,15 @@ fn every_motor_gets_its_first_stop_before_any_gets_its_second() {
     master.stop_all(StopKind::Hold, [id(1), id(2), id(3)].into_iter().collect()).unwrap();
     // One to all, whose answers would meet the next; then nobody answers, and a stop waits for 50 ms at
     // the most.
-    let told = |at| sent(&mut master, ms(at)).pop().map(|packet| packet.channel);
+    let sent_at = |at| sent(&mut master, ms(at)).pop().map(|packet| packet.channel);
     let to = |motor| Some(Channel::Command(Target::Motor(id(motor))));
     let to_all = Some(Channel::Command(Target::All));
     let expected = [to_all, None, to(1), to(2), to(3), to(1)];
-    assert_eq!([0, 5, 6, 56, 106, 156].map(told), expected);
+    assert_eq!([0, 5, 6, 56, 106, 156].map(sent_at), expected);
 }
 
 #[test]
-fn no_older_set_point_follows_what_ends_motion() {
+fn no_older_set_point_follows_a_command_that_ends_motion() {
     fn never<C: Command + Copy>(end: C) {
         let mut master = Master::<2>::new(Config::CAN);
         master.set_point(id(1), torque(1.0), ms(0)).unwrap();
@@ -61,9 +61,9 @@ fn no_older_set_point_follows_what_ends_motion() {
         master.handle_transmitted(ms(0));
         assert_eq!(sent(&mut master, ms(1))[0].data, end.encode());
         let answer = reply(&mut master, 1, end.encode(), ms(2));
-        let told: Vec<Event> = answer.into_iter().chain(events(&mut master, ms(2))).collect();
-        assert!(told.iter().any(|event| matches!(ticket.outcome(event), Some(Ok(_)))));
-        assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+        let reported: Vec<Event> = answer.into_iter().chain(events(&mut master, ms(2))).collect();
+        assert!(reported.iter().any(|event| matches!(ticket.outcome(event), Some(Ok(_)))));
+        assert!(reported.contains(&Event::SetPointDropped { motor: id(1) }));
         assert_eq!(sent(&mut master, ms(3_000)), []);
     }
     never(Shutdown);
@@ -78,7 +78,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     let _ = ask(&mut master, 1, Stop, ms(0));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
-    // Which stop this answers is not known, so the motor is told once more.
+    // Which stop this answers is not known, so the motor gets one more.
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
     let confirmed = Event::StopConfirmed { motor: id(1) };
@@ -86,7 +86,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
 }
 
 #[test]
-fn a_stop_takes_no_request_its_outcome() {
+fn stop_does_not_hide_the_outcome_of_a_failed_request() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = master.request(id(1), ReadMultiTurnAngle).unwrap();
     for attempt in 0..3 {
@@ -95,12 +95,12 @@ fn a_stop_takes_no_request_its_outcome() {
     }
     // Given up, but not reported yet.
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
-    let told = events(&mut master, ms(63));
-    assert!(told.iter().any(|event| read.outcome(event).is_some()), "{told:?}");
+    let reported = events(&mut master, ms(63));
+    assert!(reported.iter().any(|event| read.outcome(event).is_some()), "{reported:?}");
 }
 
 #[test]
-fn a_stop_is_confirmed_only_when_nothing_sent_before_can_move_the_motor_any_more() {
+fn stop_is_confirmed_once_no_earlier_set_point_can_arrive() {
     // On CAN a stop (0x141) overtakes a set-point (0x401) that waits in another mailbox.
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
@@ -129,7 +129,7 @@ fn a_stop_is_confirmed_at_once_when_the_feedback_came_before() {
 }
 
 #[test]
-fn a_stop_goes_once_more_when_a_set_point_before_it_counts_as_lost() {
+fn stop_is_sent_once_more_when_an_earlier_set_point_counts_as_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -144,7 +144,7 @@ fn a_stop_goes_once_more_when_a_set_point_before_it_counts_as_lost() {
 }
 
 #[test]
-fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_motor_any_more() {
+fn requested_shutdown_is_answered_once_no_lost_set_point_can_arrive() {
     for patience in [None, Some(Patience { attempts: 1, reply_timeout: Config::CAN.reply_timeout })]
     {
         let mut master = Master::<2>::new(Config::CAN);
@@ -163,13 +163,13 @@ fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_mo
         let over = lost + Duration::from_millis(1) + Config::CAN.late_window;
         assert_eq!(master.poll_at(), Some(over));
         assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
-        let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
-        assert_eq!(ticket.unwrap().outcome(&told.unwrap()), Some(Ok(Shutdown)));
+        let reported = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+        assert_eq!(ticket.unwrap().outcome(&reported.unwrap()), Some(Ok(Shutdown)));
     }
 }
 
 #[test]
-fn no_set_point_goes_before_what_was_asked_for_earlier_to_end_motion() {
+fn no_set_point_is_sent_before_an_earlier_requested_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -193,13 +193,13 @@ fn no_set_point_goes_before_what_was_asked_for_earlier_to_end_motion() {
     assert_eq!(sent(&mut master, answered), []);
     put(&mut master, over);
     assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
-    let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
-    assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Shutdown)));
+    let reported = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+    assert_eq!(ticket.outcome(&reported.unwrap()), Some(Ok(Shutdown)));
     assert!(matches!(sent(&mut master, over + Duration::from_millis(1))[..], [_]), "its turn");
 }
 
 #[test]
-fn who_stops_in_every_cycle_is_told_when_the_motor_stands() {
+fn cyclic_stop_of_all_is_confirmed_once_the_motor_answers() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -219,26 +219,26 @@ fn who_stops_in_every_cycle_is_told_when_the_motor_stands() {
 }
 
 #[test]
-fn who_stops_all_in_every_cycle_on_a_line_keeps_no_motors_own_stop_back() {
+fn on_rs485_cyclic_stop_of_all_does_not_block_a_motors_own_stop() {
     let of_motor_1 = |data| Frame { address: Target::Motor(id(1)), data };
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.handle_line(&of_motor_1(ANGLE_REPLY), ms(1)).unwrap();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for now in 2..20 {
         master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
         for packet in sent(&mut master, ms(now)) {
             if packet.channel != Channel::Command(Target::All) {
                 let answered = ms(now) + Duration::from_micros(900);
-                told.extend(master.handle_line(&of_motor_1(Stop.encode()), answered));
+                reported.extend(master.handle_line(&of_motor_1(Stop.encode()), answered));
             }
         }
     }
-    assert!(told.contains(&Event::StopConfirmed { motor: id(1) }), "{told:?}");
+    assert!(reported.contains(&Event::StopConfirmed { motor: id(1) }), "{reported:?}");
 }
 
 #[test]
-fn one_motor_is_stopped_by_itself() {
+fn stop_of_one_motor_leaves_the_others_moving() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in 1..=2 {
         master.set_point(id(motor), torque(1.0), ms(0)).unwrap();
@@ -254,7 +254,7 @@ fn one_motor_is_stopped_by_itself() {
 }
 
 #[test]
-fn on_rs485_the_living_are_stopped_before_the_dead() {
+fn on_rs485_answering_motors_are_stopped_before_silent_ones() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
     let mut now = ms(0);
@@ -274,9 +274,9 @@ fn on_rs485_the_living_are_stopped_before_the_dead() {
     assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(Target::Motor(id(4))));
 }
 
-/// Motor 1 has answered once, and no more; motor 2 was told last. Only that brings motor 2 forward.
+/// Motor 1 has answered once, and no more; motor 2 was sent something last. Only its answer brings motor 2 forward.
 #[test]
-fn on_rs485_who_was_heard_once_and_is_silent_now_is_stopped_after_the_living() {
+fn on_rs485_motor_gone_silent_is_stopped_after_answering_ones() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     for (motor, at, is_there) in [(1, 0, true), (1, 10, false), (2, 40, true)] {
         let _ticket = master.request_with(id(motor), ReadModel, once(5)).unwrap();
@@ -293,7 +293,7 @@ fn on_rs485_who_was_heard_once_and_is_silent_now_is_stopped_after_the_living() {
 }
 
 #[test]
-fn a_stop_that_is_lifted_before_it_was_sent_is_sent_all_the_same() {
+fn stop_lifted_before_it_was_sent_is_still_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request(id(1), ReadModel).unwrap();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
@@ -305,7 +305,7 @@ fn a_stop_that_is_lifted_before_it_was_sent_is_sent_all_the_same() {
 
 /// Nothing was sent between the two: an answer to the first shows that the motor stands.
 #[test]
-fn a_stop_that_is_lifted_and_called_again_goes_on_unless_something_moves_the_motor_between() {
+fn stop_lifted_and_called_again_goes_on_unless_a_move_was_between() {
     let read = ReadMultiTurnAngle.encode();
     let brake = ReleaseBrake.encode();
     for (between, answer, goes_on) in [
@@ -324,14 +324,14 @@ fn a_stop_that_is_lifted_and_called_again_goes_on_unless_something_moves_the_mot
         }
         master.stop(id(1), StopKind::Off).unwrap();
         assert_eq!(sent(&mut master, ms(now + 2)), [packet_to(1, Shutdown.encode())]);
-        let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 3));
-        assert_eq!(told == confirmed(1), goes_on, "{between:X?}");
+        let reported = reply(&mut master, 1, Shutdown.encode(), ms(now + 3));
+        assert_eq!(reported == confirmed(1), goes_on, "{between:X?}");
     }
 }
 
-/// It was put after the stop, and is older than the next one.
+/// The set-point was put after the first stop, and is older than the next one.
 #[test]
-fn a_set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
+fn set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -344,7 +344,7 @@ fn a_set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
 }
 
 #[test]
-fn what_was_switched_off_is_switched_on_by_no_other_stop() {
+fn motor_switched_off_is_not_switched_on_by_a_later_hold() {
     let mut master = Master::<4>::new(Config::CAN);
     let first_stops = |master: &mut Master<4>, now| -> Vec<(u8, u8)> {
         let stops = sent(master, now);
@@ -363,7 +363,7 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
     // As a caller does that leaves a control loop.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
-    assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81)], "who was told nothing yet");
+    assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81)], "the one that has got no stop yet");
     assert_eq!(first_stops(&mut master, ms(102)), [(1, 0x80)]);
     master.lift_stop_of(id(1));
     master.stop(id(1), StopKind::Hold).unwrap();
@@ -381,7 +381,7 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
 }
 
 #[test]
-fn what_was_switched_off_is_switched_on_by_no_request() {
+fn motor_switched_off_is_not_switched_on_by_a_requested_hold() {
     let mut master = Master::<4>::new(Config::CAN);
     let _read = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 2, ANGLE_REPLY, ms(1)).unwrap();
@@ -402,7 +402,7 @@ fn what_was_switched_off_is_switched_on_by_no_request() {
 }
 
 #[test]
-fn a_stop_in_the_place_of_another_tells_of_no_request() {
+fn stop_in_the_place_of_another_reports_no_failed_request() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     sent(&mut master, ms(0));
@@ -413,7 +413,7 @@ fn a_stop_in_the_place_of_another_tells_of_no_request() {
 }
 
 #[test]
-fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
+fn stop_is_not_confirmed_by_the_answer_to_an_earlier_stop_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -425,9 +425,9 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
     reply(&mut master, 1, TORQUE_REPLY, ms(2)).unwrap();
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(3)).len(), 1);
-    let told = reply(&mut master, 1, Stop.encode(), ms(4));
+    let reported = reply(&mut master, 1, Stop.encode(), ms(4));
     assert_ne!(
-        told,
+        reported,
         Some(Event::StopConfirmed { motor: id(1) }),
         "that to all is not answered yet"
     );
@@ -437,7 +437,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
 }
 
 #[test]
-fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more() {
+fn stop_is_confirmed_once_no_earlier_move_to_all_can_arrive() {
     // On CAN a stop (0x141) overtakes a command to all (0x280) that waits in another mailbox.
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
@@ -465,7 +465,7 @@ fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more()
 }
 
 #[test]
-fn what_may_still_move_the_motor_makes_way_for_no_other_late_reply() {
+fn lost_move_is_not_displaced_from_the_late_replies_by_reads() {
     let mut master = Master::<2>::new(Config::CAN);
     // A move and a read were given up, and a second read is in flight when the motor is stopped.
     let _ = master.request_with(id(1), step(), once(5)).unwrap();
@@ -483,14 +483,14 @@ fn what_may_still_move_the_motor_makes_way_for_no_other_late_reply() {
     sent(&mut master, ms(12));
     // The first is the answer to the earlier stop; after the second the move may yet come.
     for now in [13, 14, 15] {
-        let told = reply(&mut master, 1, Shutdown.encode(), ms(now));
-        assert_ne!(told, Some(Event::StopConfirmed { motor: id(1) }), "after {now} ms");
+        let reported = reply(&mut master, 1, Shutdown.encode(), ms(now));
+        assert_ne!(reported, Some(Event::StopConfirmed { motor: id(1) }), "after {now} ms");
         sent(&mut master, ms(now));
     }
 }
 
 #[test]
-fn while_the_bus_is_down_what_moves_does_not_grow_old() {
+fn bus_down_extends_how_long_a_lost_set_point_may_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -502,23 +502,23 @@ fn while_the_bus_is_down_what_moves_does_not_grow_old() {
 }
 
 #[test]
-fn who_was_switched_off_by_itself_may_be_held_once_that_is_lifted() {
+fn motor_switched_off_individually_can_be_held_once_that_is_lifted() {
     let mut master = Master::<2>::new(Config::CAN);
-    let told = |master: &mut Master<2>, kind, now| {
+    let stop = |master: &mut Master<2>, kind, now| {
         master.stop(id(1), kind).unwrap();
         let data = sent(master, ms(now))[0].data;
         assert_eq!(reply(master, 1, data, ms(now + 1)), confirmed(1));
         data
     };
-    assert_eq!(told(&mut master, StopKind::Off, 0), Shutdown.encode());
-    assert_eq!(told(&mut master, StopKind::Hold, 100), Shutdown.encode(), "it stays off");
+    assert_eq!(stop(&mut master, StopKind::Off, 0), Shutdown.encode());
+    assert_eq!(stop(&mut master, StopKind::Hold, 100), Shutdown.encode(), "it stays off");
     master.lift_stop_of(id(1));
-    assert_eq!(told(&mut master, StopKind::Hold, 200), Stop.encode());
+    assert_eq!(stop(&mut master, StopKind::Hold, 200), Stop.encode());
 }
 
-/// How long a caller would wait for a move says nothing of when that comes.
+/// How long a caller would wait for a move says nothing of when that arrives.
 #[test]
-fn a_stop_is_confirmed_soon_also_behind_a_move_that_is_waited_for_patiently() {
+fn stop_after_a_patient_move_is_confirmed_within_100_ms() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         let mut master = Master::<2>::new(config);
         let for_ever = Patience { reply_timeout: Duration::from_secs(3_600), attempts: 1 };
@@ -545,9 +545,9 @@ fn a_stop_is_confirmed_soon_also_behind_a_move_that_is_waited_for_patiently() {
     }
 }
 
-/// A request whose place the stop takes may be answered for as long after that.
+/// A request whose place the stop takes may be answered as late as the stop.
 #[test]
-fn the_late_window_of_what_a_stop_went_over_begins_with_the_stops_own_time_out() {
+fn late_window_of_a_replaced_read_begins_with_the_stops_time_out() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = ask(&mut master, 1, ReadModel, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
@@ -560,7 +560,7 @@ fn the_late_window_of_what_a_stop_went_over_begins_with_the_stops_own_time_out()
 }
 
 #[test]
-fn nothing_that_comes_before_it_was_sent_confirms_a_stop() {
+fn answer_that_comes_before_a_stop_was_sent_does_not_confirm_it() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -569,9 +569,9 @@ fn nothing_that_comes_before_it_was_sent_confirms_a_stop() {
     assert_eq!(sent(&mut master, ms(5)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// That has three attempts, and its answer is no confirmation.
+/// The request has three attempts, and its answer is no confirmation.
 #[test]
-fn a_stop_that_is_called_for_again_takes_the_place_of_the_callers_own_command() {
+fn repeated_stop_takes_the_place_of_a_requested_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(0));
@@ -583,9 +583,9 @@ fn a_stop_that_is_called_for_again_takes_the_place_of_the_callers_own_command() 
     assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// It is the only one that they get, and no motor confirms it.
+/// It is the only stop that these motors get, and none confirms it.
 #[test]
-fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place() {
+fn stop_of_all_called_again_is_sent_to_all_while_no_motor_is_known() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     for now in [0, 10, 20] {
         master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
@@ -594,16 +594,16 @@ fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place(
 }
 
 #[test]
-fn a_stop_of_more_motors_than_there_is_room_for_goes_to_all() {
+fn stop_of_more_motors_than_places_is_sent_to_all() {
     let mut master = Master::<1>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     assert!(master.stop_all(StopKind::Off, id(2).into()).is_err());
-    let told = [packet_to_all(Shutdown.encode()), packet_to(1, Shutdown.encode())];
-    assert_eq!(sent(&mut master, ms(1)), told);
+    let expected = [packet_to_all(Shutdown.encode()), packet_to(1, Shutdown.encode())];
+    assert_eq!(sent(&mut master, ms(1)), expected);
 }
 
 #[test]
-fn a_stop_to_all_of_another_kind_goes_at_once_on_a_line() {
+fn on_rs485_stop_to_all_of_another_kind_is_sent_at_once() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
@@ -612,7 +612,7 @@ fn a_stop_to_all_of_another_kind_goes_at_once_on_a_line() {
 }
 
 #[test]
-fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are_once_more() {
+fn motor_new_in_a_repeated_stop_is_stopped_before_the_others_again() {
     type Again = fn(&mut Master<2>);
     let ways: [Again; 2] = [
         |master| master.stop_all(StopKind::Hold, id(2).into()).unwrap(),
@@ -657,7 +657,7 @@ fn is_first(
 }
 
 #[test]
-fn who_was_told_to_stop_goes_behind_others_until_it_is_sent_what_a_stop_refuses() {
+fn stopped_motor_goes_after_others_until_it_is_sent_a_move() {
     let stop = |master: &mut Master<4>| master.stop(id(1), StopKind::Off).unwrap();
     let asks = |master: &mut Master<4>| {
         let _asked = master.request(id(1), Shutdown).unwrap();

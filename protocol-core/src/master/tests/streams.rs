@@ -32,24 +32,24 @@ fn a_set_point_replaced_between_offer_and_sending_is_not_lost() {
 }
 
 #[test]
-fn a_set_point_that_is_too_old_or_meets_a_dead_bus_is_dropped() {
+fn set_point_that_is_too_old_or_meets_a_bus_down_is_dropped() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
-    let told = events(&mut master, ms(53));
-    assert_eq!(told, [Event::SetPointDropped { motor: id(1) }]);
+    let reported = events(&mut master, ms(53));
+    assert_eq!(reported, [Event::SetPointDropped { motor: id(1) }]);
     assert!(sent(&mut master, ms(53)).is_empty());
 
     master.set_point(id(1), torque(1.0), ms(60)).unwrap();
     let moving = master.request(id(2), step()).unwrap();
     master.handle_bus_down(ms(60));
     assert!(sent(&mut master, ms(60)).is_empty(), "nothing is kept");
-    let told = events(&mut master, ms(60));
-    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
-    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::BusDown))));
+    let reported = events(&mut master, ms(60));
+    assert!(reported.contains(&Event::SetPointDropped { motor: id(1) }));
+    assert!(reported.iter().any(|event| moving.outcome(event) == Some(Err(Failure::BusDown))));
     let read = master.request(id(1), ReadMultiTurnAngle).unwrap();
     master.handle_bus_down(ms(60));
-    let told = events(&mut master, ms(60));
-    assert_eq!(read.outcome(&told[0]), Some(Err(Failure::BusDown)), "nobody waits for ever");
+    let reported = events(&mut master, ms(60));
+    assert_eq!(read.outcome(&reported[0]), Some(Err(Failure::BusDown)), "nobody waits for ever");
 
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.handle_bus_down(ms(60));
@@ -106,7 +106,7 @@ fn motion_mode_feedback_comes_on_its_own_channel() {
 }
 
 #[test]
-fn motion_feedback_stands_for_no_other_reply() {
+fn motion_feedback_is_not_taken_for_another_reply() {
     // Its first byte is the id, here that of 0x20 and of 0x9C.
     let feedback = |motor: u8, first: u8| {
         let data = [first, 2, 0x80, 0, 0, 0, 0, 0];
@@ -124,7 +124,7 @@ fn motion_feedback_stands_for_no_other_reply() {
 }
 
 #[test]
-fn a_lost_reply_of_a_stream_costs_its_own_frame_and_no_more() {
+fn lost_feedback_delays_at_most_two_set_points() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut unanswered = 0;
     let mut answered = 0;
@@ -136,8 +136,9 @@ fn a_lost_reply_of_a_stream_costs_its_own_frame_and_no_more() {
             let then = ms(now) + Duration::from_micros(900);
             answered += u32::from(motion_feedback(&mut master, then).is_some());
         }
-        let told = events(&mut master, ms(now) + Duration::from_micros(950));
-        unanswered += told.iter().filter(|e| matches!(e, Event::SetPointUnanswered { .. })).count();
+        let reported = events(&mut master, ms(now) + Duration::from_micros(950));
+        unanswered +=
+            reported.iter().filter(|e| matches!(e, Event::SetPointUnanswered { .. })).count();
     }
     assert_eq!(unanswered, 9);
     // Each holds the next one back until three times what feedback takes, so two at the most.
@@ -153,9 +154,9 @@ fn the_first_set_point_on_any_clock_and_after_any_pause_is_sent() {
     }
 }
 
-/// Feedback of either may come, and would be taken for the answer to a request of its kind.
+/// Feedback of either kind may come, and would be taken for the answer to a request of its kind.
 #[test]
-fn a_stream_that_changes_its_kind_is_of_both_until_the_last_of_the_old_one_is_over() {
+fn stream_that_changes_its_kind_refuses_requests_of_both_until_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -190,7 +191,7 @@ fn is_lost_after(master: &mut Master<2>, now: u64) -> Option<u64> {
 }
 
 #[test]
-fn feedback_counts_as_lost_soon_only_where_it_is_known_how_long_it_takes() {
+fn feedback_counts_as_lost_soon_only_where_its_usual_time_is_known() {
     let mut master = Master::<2>::new(Config::CAN);
     assert_eq!(is_lost_after(&mut master, 0), Some(21), "nothing was ever answered");
 
@@ -215,7 +216,7 @@ fn feedback_that_takes_long_is_waited_for_no_longer_than_a_reply() {
 }
 
 #[test]
-fn on_a_busy_bus_feedback_is_waited_for() {
+fn feedback_is_not_given_up_while_the_bus_is_busy() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
@@ -230,7 +231,7 @@ fn on_a_busy_bus_feedback_is_waited_for() {
 }
 
 #[test]
-fn a_set_point_that_nothing_else_is_due_with_is_dropped_when_it_is_too_old() {
+fn lone_set_point_is_dropped_after_50_ms() {
     let mut master = Master::<2>::new(Config::CAN);
     assert_eq!(events(&mut master, ms(0)), []);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();

@@ -85,7 +85,7 @@ fn a_broadcast_waits_for_the_late_answers_to_the_one_before() {
 }
 
 #[test]
-fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
+fn waiting_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
     let mut master = Master::<4>::new(Config::CAN);
     let _reset = master.request(id(2), Reset).unwrap();
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
@@ -103,7 +103,7 @@ fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
 }
 
 #[test]
-fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
+fn waiting_broadcast_is_dropped_by_a_stop_and_by_a_bus_down() {
     let ends: [fn(&mut Master<2>); 3] = [
         |master| master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(),
         |master| master.stop(id(2), StopKind::Hold).unwrap(),
@@ -123,7 +123,7 @@ fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
 }
 
 #[test]
-fn whom_a_broadcast_may_move_is_stopped_with_all() {
+fn motors_that_a_broadcast_may_move_are_stopped_with_all() {
     let both: MotorSet = [1, 2].into_iter().map(id).collect();
     type Put = fn(&mut Master<2>, MotorSet) -> Result<(), RequestError>;
     let puts: [(Put, usize); 3] = [
@@ -144,7 +144,7 @@ fn whom_a_broadcast_may_move_is_stopped_with_all() {
 }
 
 #[test]
-fn a_broadcast_that_may_move_more_motors_than_there_is_room_for_is_refused() {
+fn broadcast_that_may_move_more_motors_than_places_is_refused() {
     let mut master = Master::<2>::new(Config::CAN);
     let too_many = Err(RequestError::TooManyMotors { capacity: 2 });
     let three = [1, 2, 3].into_iter().map(id).collect();
@@ -164,7 +164,7 @@ fn a_broadcast_that_may_move_more_motors_than_there_is_room_for_is_refused() {
 }
 
 #[test]
-fn no_older_set_point_or_move_follows_what_ends_the_motion_of_all() {
+fn no_older_set_point_or_move_follows_a_shutdown_to_all() {
     let mut master = Master::<4>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     let waiting = master.request(id(2), step()).unwrap();
@@ -172,17 +172,17 @@ fn no_older_set_point_or_move_follows_what_ends_the_motion_of_all() {
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     let mut packets = sent(&mut master, ms(0));
     assert_eq!(packets[0], packet_to_all(Shutdown.encode()));
-    let told = events(&mut master, ms(0));
-    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
-    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
-    assert!(!told.iter().any(|event| read.outcome(event).is_some()));
+    let reported = events(&mut master, ms(0));
+    assert!(reported.contains(&Event::SetPointDropped { motor: id(1) }), "{reported:?}");
+    assert!(reported.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(!reported.iter().any(|event| read.outcome(event).is_some()));
     packets.extend(sent(&mut master, ms(100)));
     let to_motor_3 = Channel::Command(id(3).into());
     assert!(packets[1..].iter().all(|packet| packet.channel == to_motor_3), "{packets:?}");
 }
 
 #[test]
-fn a_set_point_that_was_pushed_out_by_what_ends_the_motion_of_all_is_not_sent_again() {
+fn set_point_pushed_out_by_a_shutdown_to_all_is_not_sent_again() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
@@ -193,7 +193,7 @@ fn a_set_point_that_was_pushed_out_by_what_ends_the_motion_of_all_is_not_sent_ag
 }
 
 #[test]
-fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
+fn bus_down_extends_how_long_a_move_to_all_may_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -219,7 +219,7 @@ fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
 }
 
 #[test]
-fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
+fn endless_broadcasts_do_not_block_a_waiting_request() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
@@ -227,8 +227,8 @@ fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
     sent(&mut master, ms(1));
     let _waiting = master.request(id(1), ReadModel).unwrap();
     for now in 2..10 {
-        let told = reply(&mut master, 1, ANGLE_REPLY, ms(now));
-        assert!(matches!(told, Some(Event::BroadcastReply { .. })));
+        let reported = reply(&mut master, 1, ANGLE_REPLY, ms(now));
+        assert!(matches!(reported, Some(Event::BroadcastReply { .. })));
         // As the loops do: what can be sent is sent before the next event is polled.
         let packets = sent(&mut master, ms(now));
         if packets.iter().any(|packet| packet.data[0] == 0xB5) {
@@ -260,7 +260,7 @@ fn overtaken_by<C: Command>(command: C, kinds: &[StopKind]) -> (Master<2>, Packe
 }
 
 #[test]
-fn what_is_handed_back_goes_to_all_again_unless_it_would_undo_the_last_stop_of_one_motor() {
+fn handed_back_broadcast_goes_to_all_again_unless_it_would_undo_a_stop() {
     // What is sent besides motor 1's stop, or once that is given up.
     fn goes<C: Command>(command: C, kinds: &[StopKind]) -> Option<Packet> {
         let (mut master, packet) = overtaken_by(command, kinds);
@@ -282,7 +282,7 @@ fn what_is_handed_back_goes_to_all_again_unless_it_would_undo_the_last_stop_of_o
 }
 
 #[test]
-fn a_hold_of_all_that_is_handed_back_holds_nobody_who_was_off_before() {
+fn handed_back_hold_to_all_skips_a_motor_that_is_to_be_off() {
     let mut master = Master::<2>::new(Config::CAN);
     master.give_places(id(2).into()).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -300,7 +300,7 @@ fn a_hold_of_all_that_is_handed_back_holds_nobody_who_was_off_before() {
 }
 
 #[test]
-fn a_restart_of_all_that_is_handed_back_goes_to_nobody_once_one_was_stopped() {
+fn handed_back_reset_to_all_is_not_sent_again_once_a_motor_was_stopped() {
     let (mut master, packet) = overtaken_by(Reset, &[]);
     master.handle_pushed_out(&packet);
     assert_eq!(sent(&mut master, ms(102)), [packet], "nobody was stopped");
@@ -319,7 +319,7 @@ fn a_restart_of_all_that_is_handed_back_goes_to_nobody_once_one_was_stopped() {
 }
 
 #[test]
-fn what_holds_all_does_not_switch_on_who_was_stopped_off() {
+fn hold_to_all_does_not_switch_on_a_motor_stopped_off() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(0));
@@ -330,7 +330,7 @@ fn what_holds_all_does_not_switch_on_who_was_stopped_off() {
 }
 
 #[test]
-fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_by_a_stop() {
+fn motor_new_under_a_shutdown_of_all_is_not_held_by_a_stop() {
     let mut master = Master::<4>::new(Config::CAN);
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -339,7 +339,7 @@ fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_by_a_stop(
 }
 
 #[test]
-fn who_gets_a_place_by_a_later_hold_of_all_is_off_like_all() {
+fn motor_new_in_a_hold_of_all_after_a_shutdown_of_all_is_switched_off() {
     let mut master = Master::<4>::new(Config::CAN);
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -348,7 +348,7 @@ fn who_gets_a_place_by_a_later_hold_of_all_is_off_like_all() {
 }
 
 #[test]
-fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_with_all() {
+fn motor_new_under_a_shutdown_of_all_is_not_held_by_a_broadcast() {
     let mut master = Master::<4>::new(Config::CAN);
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -361,7 +361,7 @@ fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_with_all()
 }
 
 #[test]
-fn a_question_to_all_drops_nothing_that_waits() {
+fn read_to_all_drops_no_waiting_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
@@ -370,7 +370,7 @@ fn a_question_to_all_drops_nothing_that_waits() {
 }
 
 #[test]
-fn what_was_sent_to_all_and_is_awaited_goes_on_when_a_motor_restarts_or_the_bus_is_down() {
+fn broadcast_in_flight_survives_a_restart_and_a_bus_down() {
     for is_restart in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -387,7 +387,7 @@ fn what_was_sent_to_all_and_is_awaited_goes_on_when_a_motor_restarts_or_the_bus_
 }
 
 #[test]
-fn whoever_does_not_answer_what_all_are_asked_has_lost_one_and_who_does_has_answered() {
+fn broadcast_counts_as_answered_or_lost_for_each_expected_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in 1..=2 {
         let _ = ask(&mut master, motor, ReadModel, ms(0));
@@ -406,9 +406,9 @@ fn whoever_does_not_answer_what_all_are_asked_has_lost_one_and_who_does_has_answ
     assert_eq!(counts(&master, 2), (1, 1), "too late");
 }
 
-/// Its feedback begins with its id, 0x20, which is also the command that all were sent.
+/// The feedback begins with the motor's id, 0x20, which is also the byte of the broadcast command.
 #[test]
-fn feedback_of_motion_is_no_answer_to_all_whatever_the_id_of_its_motor() {
+fn motion_feedback_does_not_answer_a_broadcast_whatever_its_id_byte() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(FunctionControl::ErrorReporting(Switch::On), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -425,7 +425,7 @@ fn feedback_of_motion_is_no_answer_to_all_whatever_the_id_of_its_motor() {
 }
 
 #[test]
-fn a_command_to_all_that_nobody_answers_is_over_when_it_was_sent_whoever_is_expected_to() {
+fn broadcast_without_reply_is_done_when_sent_whatever_is_expected() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Reset, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -434,16 +434,15 @@ fn a_command_to_all_that_nobody_answers_is_over_when_it_was_sent_whoever_is_expe
 }
 
 #[test]
-fn what_holds_all_does_not_wait_for_a_read_that_waits_for_it() {
+fn hold_to_all_does_not_wait_for_an_unsent_read() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request(id(1), ReadModel).unwrap();
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0))[0], packet_to_all(Stop.encode()));
 }
 
-/// For a motor that was forgotten, a restart of all is not reported.
 #[test]
-fn who_has_a_place_is_told_of_a_restart_of_all_whoever_was_forgotten() {
+fn reset_to_all_is_reported_though_another_motor_was_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in 1..=2 {
         let _ = ask(&mut master, motor, ReadModel, ms(0));
@@ -456,7 +455,7 @@ fn who_has_a_place_is_told_of_a_restart_of_all_whoever_was_forgotten() {
 }
 
 #[test]
-fn a_question_to_all_that_waits_keeps_no_motor_from_being_forgotten() {
+fn motor_can_be_forgotten_while_a_read_to_all_waits() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
@@ -464,10 +463,10 @@ fn a_question_to_all_that_waits_keeps_no_motor_from_being_forgotten() {
     assert!(master.forget(id(1)));
 }
 
-/// What the last answer was is known also if that was to a broadcast: the same frame once more, within 0.5 ms of both,
+/// The last answer is remembered also if it was to a broadcast: the same frame once more, within 0.5 ms of both,
 /// answers nothing.
 #[test]
-fn a_doubled_answer_to_a_broadcast_is_not_that_to_the_next_request() {
+fn duplicate_answer_to_a_broadcast_does_not_answer_the_next_request() {
     let master = &mut Master::<2>::new(Config::CAN);
     // It has a place.
     master.stop(id(1), StopKind::Hold).unwrap();
@@ -482,9 +481,9 @@ fn a_doubled_answer_to_a_broadcast_is_not_that_to_the_next_request() {
     assert_eq!(ticket.outcome(&doubled), None);
 }
 
-/// A torque is sent after the answer to a stop of all, and after that a stop, which is lost.
+/// A torque is sent after the answer to the stop to all, and after that a stop, which is lost.
 #[test]
-fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
+fn duplicate_answer_to_a_stop_to_all_confirms_no_later_stop() {
     let master = &mut Master::<2>::new(Config::CAN);
     master.broadcast(Stop, id(1).into()).unwrap();
     sent(master, ms(0));
@@ -498,10 +497,9 @@ fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
     assert_ne!(doubled, confirmed(1), "it was lost, and the motor turns");
 }
 
-/// A restart that was sent ends a move of all that waits. A caller that sleeps until `poll_at` is woken for that: until
-/// then the requests of all others wait for that move.
+/// A caller that sleeps until `poll_at` is woken for that: until then the requests of all others wait for that move.
 #[test]
-fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else() {
+fn sent_reset_ends_a_waiting_move_to_all_in_time() {
     let master = &mut Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), Reset).unwrap();
     master.broadcast(torque(1.0), id(2).into()).unwrap();
@@ -516,9 +514,9 @@ fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else()
     assert_eq!(packets.len(), 2, "the restart and the angle");
 }
 
-/// The answer to a broadcast that a stop has ended, and the same frame once more.
+/// A stop has ended the broadcast. Its answer comes, and the same frame once more.
 #[test]
-fn the_double_of_an_answer_to_a_broadcast_that_is_over_confirms_no_stop() {
+fn duplicate_answer_to_an_ended_broadcast_confirms_no_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadStatus1, ms(0));
     reply(&mut master, 1, [0x9A, 0, 0, 0, 0, 0, 0, 0], ms(1));
@@ -534,7 +532,7 @@ fn the_double_of_an_answer_to_a_broadcast_that_is_over_confirms_no_stop() {
 }
 
 #[test]
-fn the_double_of_an_answer_to_a_broadcast_that_is_over_answers_no_move() {
+fn duplicate_answer_to_an_ended_broadcast_answers_no_move() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(step(), id(1).into()).unwrap();
     sent(&mut master, ms(100));
@@ -552,7 +550,7 @@ fn the_double_of_an_answer_to_a_broadcast_that_is_over_answers_no_move() {
 /// Motors 1 and 2 were moved with all, and stopped in one way, then in the other. A program reads all by one command
 /// every 20 ms; each drive answers everything after a millisecond.
 #[test]
-fn a_program_that_reads_all_again_and_again_keeps_no_stop_in_doubt() {
+fn repeated_reads_to_all_keep_no_stop_unconfirmed() {
     let both = || MotorSet::from([id(1), id(2)]);
     for (first, then) in [(StopKind::Off, StopKind::Hold), (StopKind::Hold, StopKind::Off)] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -593,9 +591,9 @@ fn a_program_that_reads_all_again_and_again_keeps_no_stop_in_doubt() {
     }
 }
 
-/// It looks like the answer to a set-point that was given up meanwhile, and comes after its time.
+/// The answer looks like feedback of a set-point that was given up meanwhile.
 #[test]
-fn a_late_answer_to_all_does_not_say_that_a_set_point_has_come() {
+fn late_answer_to_a_broadcast_does_not_show_that_a_set_point_arrived() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let line = |data| Frame { address: Target::Motor(id(1)), data };
     let us = Instant::from_micros;
@@ -613,9 +611,9 @@ fn a_late_answer_to_all_does_not_say_that_a_set_point_has_come() {
     assert_eq!(master.handle_line(&line(Shutdown.encode()), us(16_100)), None, "once more");
 }
 
-/// Its late feedback may come for as long as others come that may be that one.
+/// The late feedback may come for as long as other feedback comes that may be it.
 #[test]
-fn a_broadcast_of_a_streams_kind_goes_though_a_feedback_was_lost_once() {
+fn broadcast_of_a_streams_kind_is_sent_though_one_feedback_was_lost() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -645,7 +643,7 @@ fn a_broadcast_of_a_streams_kind_goes_though_a_feedback_was_lost_once() {
 
 /// The Shutdown waits for two seconds, until the drive has restarted.
 #[test]
-fn a_hold_of_all_waits_for_a_shutdown_that_waits_for_the_end_of_a_restart() {
+fn hold_to_all_waits_for_an_earlier_shutdown_of_a_restarting_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     let _reset = ask(&mut master, 1, Reset, ms(0));
     events(&mut master, ms(0));
@@ -662,7 +660,7 @@ fn a_hold_of_all_waits_for_a_shutdown_that_waits_for_the_end_of_a_restart() {
 }
 
 #[test]
-fn a_command_to_all_waits_for_a_late_answer_of_its_kind_beside_a_stream_of_another() {
+fn broadcast_waits_for_a_late_answer_of_its_kind_during_another_stream() {
     let mut master = Master::<2>::new(Config::CAN);
     let _lost = master.request_with(id(1), torque(1.0), once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);

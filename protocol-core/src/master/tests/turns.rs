@@ -23,7 +23,7 @@ fn give_up<C: Command>(master: &mut Master<2>, command: C, now: u64) {
 }
 
 #[test]
-fn a_request_waits_until_a_command_to_all_is_over() {
+fn request_waits_until_an_earlier_broadcast_is_over() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     master.broadcast(ReadMultiTurnAngle, id(2).into()).unwrap();
@@ -39,7 +39,7 @@ fn a_request_waits_until_a_command_to_all_is_over() {
 }
 
 #[test]
-fn a_move_of_all_goes_behind_what_was_asked_before_it_and_before_what_is_asked_then() {
+fn move_to_all_is_sent_after_earlier_and_before_later_requests() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), ReadModel).unwrap();
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -65,7 +65,7 @@ fn a_move_of_all_is_refused_while_any_motor_is_stopped() {
 }
 
 #[test]
-fn a_question_to_all_outlives_the_stops_of_single_motors() {
+fn waiting_read_to_all_survives_the_stop_of_one_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in [1, 2] {
         let _ = ask(&mut master, motor, ReadModel, ms(0));
@@ -84,7 +84,7 @@ fn a_question_to_all_outlives_the_stops_of_single_motors() {
 }
 
 #[test]
-fn the_end_of_a_question_to_all_is_told_before_it_comes() {
+fn poll_at_returns_the_time_out_of_a_read_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, id(2).into()).unwrap();
     sent(&mut master, ms(1));
@@ -92,14 +92,14 @@ fn the_end_of_a_question_to_all_is_told_before_it_comes() {
 }
 
 #[test]
-fn a_question_to_all_goes_again_when_the_last_one_is_answered_no_more() {
+fn read_to_all_is_sent_once_the_last_can_no_longer_be_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     sent(&mut master, ms(10));
-    let told = events(&mut master, ms(31));
-    assert_eq!(told, [Event::BroadcastDone { silent: id(1).into(), was_sent: true }]);
+    let reported = events(&mut master, ms(31));
+    assert_eq!(reported, [Event::BroadcastDone { silent: id(1).into(), was_sent: true }]);
     assert_eq!(master.poll_at(), None, "nobody waits for that");
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(31)), []);
@@ -112,7 +112,7 @@ fn a_question_to_all_goes_again_when_the_last_one_is_answered_no_more() {
 }
 
 #[test]
-fn an_answer_to_all_may_come_later_where_the_bus_was_down() {
+fn bus_down_extends_how_long_a_broadcast_may_be_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
@@ -129,7 +129,7 @@ fn an_answer_to_all_may_come_later_where_the_bus_was_down() {
 }
 
 #[test]
-fn what_reads_is_asked_again_though_all_were_told_to_end_their_motion() {
+fn read_is_retried_though_a_shutdown_went_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadModel, ms(0));
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
@@ -139,7 +139,7 @@ fn what_reads_is_asked_again_though_all_were_told_to_end_their_motion() {
 }
 
 #[test]
-fn who_withdraws_what_is_over_withdraws_nothing_since() {
+fn withdrawing_a_finished_request_leaves_the_next_one() {
     let mut master = Master::<2>::new(Config::CAN);
     let over = ask(&mut master, 1, ReadModel, ms(0));
     reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
@@ -149,7 +149,7 @@ fn who_withdraws_what_is_over_withdraws_nothing_since() {
 }
 
 #[test]
-fn on_rs485_a_command_follows_a_turnaround_behind_whatever_was_heard() {
+fn on_rs485_command_waits_a_turnaround_after_anything_heard() {
     let config = Config::rs485(115_200, false);
     let Bus::Rs485 { turnaround, .. } = config.bus else { unreachable!() };
     let mut master = Master::<2>::new(config);
@@ -162,7 +162,7 @@ fn on_rs485_a_command_follows_a_turnaround_behind_whatever_was_heard() {
 }
 
 #[test]
-fn another_reply_does_not_say_that_a_move_of_all_has_come() {
+fn another_reply_does_not_show_that_a_move_to_all_arrived() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
@@ -199,7 +199,7 @@ fn a_stop_does_not_wait_for_late_replies_to_reads() {
 }
 
 #[test]
-fn a_motor_that_has_something_under_way_is_not_forgotten() {
+fn motor_with_a_pending_set_point_or_request_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert!(!master.forget(id(1)), "a set-point waits");
@@ -231,7 +231,7 @@ fn a_motor_is_forgotten_once_no_mailbox_can_move_it_any_more() {
 }
 
 #[test]
-fn a_move_that_was_handed_back_does_not_make_the_next_one_go_twice() {
+fn lost_move_handed_back_does_not_make_the_next_one_go_twice() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), step()).unwrap();
     let lost = sent(&mut master, ms(0))[0];
@@ -245,7 +245,7 @@ fn a_move_that_was_handed_back_does_not_make_the_next_one_go_twice() {
 }
 
 #[test]
-fn a_restart_that_was_handed_back_goes_at_once() {
+fn handed_back_reset_is_sent_again_at_once() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), Reset).unwrap();
     let reset = sent(&mut master, ms(0))[0];
@@ -254,7 +254,7 @@ fn a_restart_that_was_handed_back_goes_at_once() {
 }
 
 #[test]
-fn a_motor_that_has_run_for_as_long_as_a_moment_ago_has_not_restarted() {
+fn unchanged_run_time_is_no_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     for now in [0, 1] {
         let _ = ask(&mut master, 1, ReadRunTime, ms(now));
@@ -284,20 +284,20 @@ fn a_relative_move_is_given_the_usual_time() {
 }
 
 #[test]
-fn a_set_point_goes_when_the_first_late_reply_cannot_come_any_more() {
+fn set_point_waits_until_the_first_of_three_late_replies_cannot_come() {
     let mut master = Master::<2>::new(Config::CAN);
     give_up(&mut master, ReadModel, 0);
     give_up(&mut master, ReadRunTime, 5);
     give_up(&mut master, ReadMultiTurnAngle, 10);
     assert_eq!(master.poll_at(), None, "nothing waits");
     master.set_point(id(1), torque(1.0), ms(20)).unwrap();
-    assert_eq!(sent(&mut master, ms(20)), [], "nobody could tell its reply if it were late");
+    assert_eq!(sent(&mut master, ms(20)), [], "its reply could not be recognised if it were late");
     assert_eq!(master.poll_at(), Some(ms(5) + WINDOW));
     assert_eq!(sent(&mut master, ms(5) + WINDOW).len(), 1);
 }
 
 #[test]
-fn a_request_that_was_handed_back_has_its_turn_before_the_next_set_point() {
+fn handed_back_request_is_sent_before_the_next_set_point() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0))[0].data, torque(1.0).encode());
@@ -328,7 +328,7 @@ fn a_motor_whose_replies_lose_every_arbitration_gets_its_turn() {
     assert_eq!(sent(&mut master, at(2_100)).len(), 5);
 }
 
-/// Its answer has to come within the time of 128 frames.
+/// The answer of a motor has to come within the time of 128 frames.
 #[test]
 fn of_more_than_21_motors_none_gets_two_rounds_ahead() {
     for (motors, ahead) in [(21, 2), (22, 1)] {
@@ -376,7 +376,7 @@ fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
 }
 
 #[test]
-fn nobody_waits_for_a_motor_that_had_its_chance() {
+fn silent_motor_holds_others_up_only_until_it_could_have_answered() {
     let mut master = Master::<8>::new(Config::CAN);
     let _silent = master.request(id(1), ReadStatus1).unwrap();
     let mut held_at = Vec::new();
@@ -396,7 +396,7 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
 }
 
 /// Motor 2 has answered once, and motor 1 has had 300 turns since. Also what time it is.
-fn beside_one_that_rests() -> (Master<2>, Instant) {
+fn with_one_that_rested() -> (Master<2>, Instant) {
     let mut master = Master::<2>::new(Config::CAN);
     let mut now = ms(0);
     let _ = ask(&mut master, 2, ReadModel, now);
@@ -413,14 +413,14 @@ fn beside_one_that_rests() -> (Master<2>, Instant) {
 
 #[test]
 fn a_motor_that_rested_for_long_does_not_starve() {
-    let (mut master, now) = beside_one_that_rests();
+    let (mut master, now) = with_one_that_rested();
     master.set_point(id(1), torque(1.0), now).unwrap();
     let _read = master.request(id(2), ReadModel).unwrap();
     assert_eq!(sent(&mut master, now).len(), 2);
 }
 
 #[test]
-fn a_motor_that_is_ahead_stays_so() {
+fn motor_gets_at_most_two_rounds_ahead_of_a_waiting_reply() {
     let mut master = Master::<8>::new(Config::CAN);
     // Motor 1 is a round ahead of motor 2, whose reply waits for the bus.
     stream_to(&mut master, 1..=1, ms(0));
@@ -437,7 +437,7 @@ fn a_motor_that_is_ahead_stays_so() {
 }
 
 #[test]
-fn a_frame_holds_up_those_that_are_queued() {
+fn poll_at_counts_the_queued_frames_until_the_bus_is_quiet() {
     let mut master = Master::<32>::new(Config::CAN);
     for motor in 1..=20 {
         let _ticket = master.request(id(motor), ReadMultiTurnAngle).unwrap();
@@ -469,7 +469,7 @@ fn a_set_point_and_a_request_of_one_motor_go_in_turn() {
 }
 
 #[test]
-fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
+fn motor_whose_request_must_wait_keeps_no_turn_from_others() {
     let mut master = Master::<2>::new(Config::CAN);
     // Motor 1 has the first place and was served more often.
     for now in [0, 2, 4] {
@@ -489,8 +489,8 @@ fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
 }
 
 #[test]
-fn a_stream_that_rested_for_long_has_no_claim_to_what_it_missed() {
-    let (mut master, now) = beside_one_that_rests();
+fn stream_that_rested_has_no_claim_to_missed_turns() {
+    let (mut master, now) = with_one_that_rested();
     for motor in 1..=2 {
         master.set_point(id(motor), torque(1.0), now).unwrap();
     }
@@ -499,7 +499,7 @@ fn a_stream_that_rested_for_long_has_no_claim_to_what_it_missed() {
 
 /// Something else is heard, and the bus is quiet then; but a drive needs some time to answer.
 #[test]
-fn nobody_has_had_its_chance_before_the_longest_response() {
+fn motor_is_waited_for_until_the_longest_response_is_over() {
     let mut master = Master::<8>::new(Config::CAN);
     let at = Instant::from_micros;
     stream_to(&mut master, 1..=1, ms(0));
@@ -518,7 +518,7 @@ fn nobody_has_had_its_chance_before_the_longest_response() {
 }
 
 #[test]
-fn a_move_of_all_that_waits_is_not_dropped_for_a_read() {
+fn waiting_move_to_all_is_sent_before_a_later_read() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 2, ReadModel, ms(0));
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
@@ -527,9 +527,9 @@ fn a_move_of_all_that_waits_is_not_dropped_for_a_read() {
     assert_eq!(sent(&mut master, ms(1))[0], to_all(torque(1.0).encode()));
 }
 
-/// Its next set-point always waits, so that it has no rest in which to join the others.
+/// The next set-point of the silent motor always waits, so that it has no rest in which to join the others.
 #[test]
-fn who_is_back_after_a_silence_has_no_claim_to_the_turns_of_then() {
+fn motor_back_after_a_silence_has_no_claim_to_missed_turns() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut packets = Vec::<Packet>::new();
     let mut turns = |span: core::ops::Range<u64>, is_there: bool| {
@@ -558,7 +558,7 @@ fn who_is_back_after_a_silence_has_no_claim_to_the_turns_of_then() {
 
 /// Its set-points wait for the end of its restart, and the others go on.
 #[test]
-fn who_had_to_wait_for_itself_has_no_claim_to_the_turns_of_then() {
+fn motor_back_after_a_restart_has_no_claim_to_missed_turns() {
     let mut master = Master::<4>::new(Config::CAN);
     let _reset = master.request(id(2), Reset).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -588,9 +588,9 @@ fn who_had_to_wait_for_itself_has_no_claim_to_the_turns_of_then() {
     assert!(last[1] > 0);
 }
 
-/// All were asked for their model, and motor 1 may answer that yet, so that the next question to all waits.
+/// All were asked for their model, and motor 1 may answer that yet, so that the next read to all waits.
 #[test]
-fn what_ends_motion_does_not_wait_behind_a_question_to_all_that_waits() {
+fn requested_shutdown_does_not_wait_for_a_waiting_read_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -602,9 +602,9 @@ fn what_ends_motion_does_not_wait_behind_a_question_to_all_that_waits() {
     assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// Else the motor would be off in the end, though it was to be held with all.
+/// Otherwise the motor would be off in the end, though it was to be held with all.
 #[test]
-fn a_hold_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
+fn hold_to_all_is_sent_after_an_earlier_requested_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     let _off = master.request(id(1), Shutdown).unwrap();
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
@@ -614,7 +614,7 @@ fn a_hold_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
 }
 
 #[test]
-fn a_question_to_all_does_not_wait_for_one_that_waits_for_the_end_of_a_restart() {
+fn read_to_all_does_not_wait_for_a_read_of_a_restarting_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     let _reset = ask(&mut master, 1, Reset, ms(0));
     events(&mut master, ms(0));
@@ -623,9 +623,9 @@ fn a_question_to_all_does_not_wait_for_one_that_waits_for_the_end_of_a_restart()
     assert_eq!(sent(&mut master, ms(1)), [packet_to_all(ReadMultiTurnAngle.encode())]);
 }
 
-/// It waits until its motor has taken what has no answer.
+/// The shutdown waits until its motor has taken a command that has no answer.
 #[test]
-fn a_move_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
+fn move_to_all_is_sent_after_an_earlier_requested_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     let _unanswered = ask(&mut master, 1, report_angle(Switch::Off), ms(0));
     events(&mut master, ms(0));
@@ -642,17 +642,17 @@ fn a_move_of_all_goes_behind_a_shutdown_of_one_that_was_asked_for_before() {
 /// Frames of 125 us, commands before answers and these by id, a FIFO of three, a host that looks at once, and drives
 /// that answer 250 us after their command. A motor whose answer makes way for commands again and again falls behind.
 #[test]
-fn who_waits_for_its_turn_keeps_a_claim_to_it() {
+fn streams_have_equal_shares_though_answers_wait_for_the_bus() {
     for motors in 4..=12 {
         let mut master = Master::<12>::new(Config::CAN);
-        let (mut fifo, mut answers, mut told) = (Vec::<Packet>::new(), Vec::new(), [0_u32; 12]);
+        let (mut fifo, mut answers, mut turns) = (Vec::<Packet>::new(), Vec::new(), [0_u32; 12]);
         for slot in 0..4_000 {
             let now = Instant::ZERO + Duration::from_micros(125).times(slot);
             if !fifo.is_empty() {
                 let Channel::Command(Target::Motor(motor)) = fifo.remove(0).channel else {
                     continue;
                 };
-                told[motor.index()] += 1;
+                turns[motor.index()] += 1;
                 answers.push((motor, slot + 2));
             } else if let Some(&answer) = answers.iter().filter(|(_, due)| *due <= slot).min() {
                 answers.retain(|it| *it != answer);
@@ -668,8 +668,8 @@ fn who_waits_for_its_turn_keeps_a_claim_to_it() {
                 fifo.push(packet);
             }
         }
-        let told = &told[..usize::from(motors)];
-        let (most, least) = (told.iter().max().unwrap(), told.iter().min().unwrap());
-        assert!(least * 100 >= most * 90, "{told:?}");
+        let turns = &turns[..usize::from(motors)];
+        let (most, least) = (turns.iter().max().unwrap(), turns.iter().min().unwrap());
+        assert!(least * 100 >= most * 90, "{turns:?}");
     }
 }

@@ -8,7 +8,7 @@ fn goes_again<const N: usize>(master: &mut Master<N>, from: u64) -> Vec<Packet> 
 }
 
 #[test]
-fn a_motor_that_has_not_confirmed_its_stop_gets_it_every_100_ms_until_it_does() {
+fn unconfirmed_stop_is_repeated_every_100_ms_until_it_is_confirmed() {
     for kind in [StopKind::Hold, StopKind::Off] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(kind, id(1).into()).unwrap();
@@ -21,7 +21,7 @@ fn a_motor_that_has_not_confirmed_its_stop_gets_it_every_100_ms_until_it_does() 
             assert_eq!(sent(&mut master, ms(now + 100)), [packet_to(1, stop)]);
             now += 121;
             assert_eq!(sent(&mut master, ms(now)), []);
-            assert_eq!(events(&mut master, ms(now)), [], "it was told once");
+            assert_eq!(events(&mut master, ms(now)), [], "it was reported once");
         }
         now += 100;
         assert_eq!(sent(&mut master, ms(now)), [packet_to(1, stop)]);
@@ -32,7 +32,7 @@ fn a_motor_that_has_not_confirmed_its_stop_gets_it_every_100_ms_until_it_does() 
 }
 
 #[test]
-fn a_stop_that_was_lifted_goes_no_more() {
+fn lifted_unconfirmed_stop_is_not_repeated() {
     for is_one in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
@@ -47,9 +47,9 @@ fn a_stop_that_was_lifted_goes_no_more() {
     }
 }
 
-/// What became of the stop was not polled yet when the motor is back.
+/// The event was not polled yet when the motor is back.
 #[test]
-fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
+fn stop_confirmed_after_all_is_not_reported_as_unconfirmed() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let mut frames = 0;
@@ -62,9 +62,9 @@ fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
     assert_eq!(events(&mut master, ms(now + 1)), []);
 }
 
-/// Its stop goes again meanwhile. No caller has stopped it again.
+/// The stop is repeated meanwhile. No caller has stopped the motor again.
 #[test]
-fn who_asks_a_motor_that_has_not_confirmed_its_stop_is_told_that_it_is_silent() {
+fn requests_to_a_motor_with_an_unconfirmed_stop_fail_as_unanswered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
     let from = is_given_up(&mut master, 1, 0);
@@ -72,9 +72,9 @@ fn who_asks_a_motor_that_has_not_confirmed_its_stop_is_told_that_it_is_silent() 
     for now in from..from + 2_000 {
         sent(&mut master, ms(now));
         let of_it = |event: &Event| ticket.and_then(|it: Ticket<ReadStatus1>| it.outcome(event));
-        let told = events(&mut master, ms(now)).iter().find_map(of_it);
-        if told.is_some() {
-            (ticket, answers) = (None, [answers, told.into_iter().collect()].concat());
+        let reported = events(&mut master, ms(now)).iter().find_map(of_it);
+        if reported.is_some() {
+            (ticket, answers) = (None, [answers, reported.into_iter().collect()].concat());
         }
         ticket = ticket.or_else(|| master.request(id(1), ReadStatus1).ok());
     }
@@ -84,7 +84,7 @@ fn who_asks_a_motor_that_has_not_confirmed_its_stop_is_told_that_it_is_silent() 
 }
 
 #[test]
-fn who_confirms_no_stop_is_forgotten_all_the_same() {
+fn motor_with_an_unconfirmed_stop_can_be_forgotten() {
     for is_in_flight in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
@@ -98,7 +98,7 @@ fn who_confirms_no_stop_is_forgotten_all_the_same() {
 }
 
 #[test]
-fn who_confirms_no_stop_is_not_forgotten_with_a_set_point_that_waits() {
+fn motor_with_a_waiting_set_point_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -108,19 +108,19 @@ fn who_confirms_no_stop_is_not_forgotten_with_a_set_point_that_waits() {
     assert!(!master.forget(id(1)), "it would be lost without a word");
 }
 
-/// Each of their stops keeps the line for 5.262 ms.
+/// Each of these stops keeps the line for 5.262 ms.
 #[test]
-fn who_confirms_no_stop_leaves_three_quarters_of_a_line_to_the_others() {
+fn on_rs485_unconfirmed_stops_take_at_most_a_quarter_of_the_time() {
     for silent in [1, 2, 7, 30] {
         let mut master = Master::<32>::new(Config::rs485(1_000_000, false));
         for motor in 1..=silent {
             master.stop(id(motor), StopKind::Off).unwrap();
         }
-        let mut told = 0;
+        let mut reported = 0;
         let given_up = (0..20_000).find(|&now| {
             sent(&mut master, ms(now));
-            told += events(&mut master, ms(now)).len();
-            told == usize::from(silent)
+            reported += events(&mut master, ms(now)).len();
+            reported == usize::from(silent)
         });
         let from = given_up.unwrap();
         let stops: usize = (from..from + 10_000).map(|now| sent(&mut master, ms(now)).len()).sum();
@@ -131,7 +131,7 @@ fn who_confirms_no_stop_leaves_three_quarters_of_a_line_to_the_others() {
 }
 
 #[test]
-fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since() {
+fn unconfirmed_hold_is_repeated_as_a_shutdown_once_the_motor_is_off() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
@@ -153,7 +153,7 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
 }
 
 #[test]
-fn what_ends_its_motion_takes_an_unconfirmed_stop_back_when_it_is_answered() {
+fn answered_shutdown_ends_an_unconfirmed_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     // Its answer could not come any more.
@@ -163,13 +163,13 @@ fn what_ends_its_motion_takes_an_unconfirmed_stop_back_when_it_is_answered() {
     let off = master.request_with(id(1), Shutdown, patience).unwrap();
     // Nothing takes its place.
     assert_eq!(goes_again(&mut master, now), [packet_to(1, Shutdown.encode())]);
-    let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 120)).unwrap();
-    assert!(off.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, Shutdown.encode(), ms(now + 120)).unwrap();
+    assert!(off.outcome(&reported).is_some());
     assert_eq!(goes_again(&mut master, now + 120), []);
 }
 
 #[test]
-fn a_hold_that_became_a_shutdown_with_all_goes_again_as_a_shutdown() {
+fn hold_changed_by_a_shutdown_to_all_is_repeated_as_a_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -188,7 +188,7 @@ fn a_hold_that_became_a_shutdown_with_all_goes_again_as_a_shutdown() {
 }
 
 #[test]
-fn a_hold_of_long_ago_does_not_switch_on_who_has_no_place_under_a_stop_of_all() {
+fn old_hold_of_a_forgotten_motor_is_not_repeated_under_a_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0) + 100;
@@ -201,9 +201,9 @@ fn a_hold_of_long_ago_does_not_switch_on_who_has_no_place_under_a_stop_of_all() 
     assert_eq!(goes_again(&mut master, now + 1), []);
 }
 
-/// It answers reads and no stop, so that it is stopped again each time; the other has its share of the line.
+/// The motor answers reads and no stop, so that it is stopped again each time; the other has its share of the line.
 #[test]
-fn who_talks_and_confirms_no_stop_leaves_the_line_to_the_others() {
+fn on_rs485_motor_that_only_answers_reads_leaves_turns_to_others() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
     let mut now = 0;
@@ -237,7 +237,7 @@ fn who_talks_and_confirms_no_stop_leaves_the_line_to_the_others() {
 }
 
 #[test]
-fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_again() {
+fn called_stop_has_fifteen_attempts_while_an_unconfirmed_one_repeats() {
     for (is_waiting, is_to_all) in [(false, false), (true, false), (false, true)] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
@@ -253,7 +253,7 @@ fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_again() {
         now += 2;
         for at in now..now + 1_000 {
             frames += sent(&mut master, ms(at)).len();
-            // A caller that stops in every cycle is told all the same, and gets no more of them.
+            // That is reported to a caller that stops in every cycle, too, and there are no more of them.
             if events(&mut master, ms(at)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
                 break;
             }
@@ -271,9 +271,9 @@ fn answer(master: &mut Master<2>, data: [u8; 8], now: u64) -> Option<Event> {
     reply(master, 1, data, ms(now))
 }
 
-/// A motor that answers reads and no stops for long, and then everything.
+/// The motor answers reads and no stops for long, and then everything.
 #[test]
-fn who_has_confirmed_no_stop_for_long_confirms_it_with_its_first_answer() {
+fn long_unconfirmed_stop_is_confirmed_by_its_first_answer() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         let mut master = Master::<2>::new(config);
         master.stop(id(1), StopKind::Off).unwrap();
@@ -296,9 +296,9 @@ fn who_has_confirmed_no_stop_for_long_confirms_it_with_its_first_answer() {
     }
 }
 
-/// The answer to the first of two stops, of which a lifting is in between, comes as late as answers do.
+/// The answer to the first of two stops, of which the first was lifted, comes as late as answers do.
 #[test]
-fn a_stop_is_not_confirmed_by_the_answer_to_the_one_it_replaced() {
+fn stop_is_not_confirmed_by_the_answer_to_the_lifted_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(100)), [packet_to(1, Shutdown.encode())]);
@@ -320,7 +320,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_the_one_it_replaced() {
 }
 
 #[test]
-fn a_stop_that_was_lifted_does_not_go_on() {
+fn stop_after_a_lifted_one_and_a_move_or_hold_begins_anew() {
     for is_held_first in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
@@ -341,7 +341,7 @@ fn a_stop_that_was_lifted_does_not_go_on() {
 }
 
 #[test]
-fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
+fn shutdown_that_was_never_sent_does_not_change_a_repeated_hold() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
@@ -357,7 +357,7 @@ fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
 }
 
 #[test]
-fn what_all_are_about_to_be_told_is_not_undone_by_a_hold_that_goes_again() {
+fn repeated_hold_does_not_undo_a_waiting_shutdown_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -372,7 +372,7 @@ fn what_all_are_about_to_be_told_is_not_undone_by_a_hold_that_goes_again() {
 }
 
 #[test]
-fn a_stop_that_was_lifted_does_not_go_again_because_another_is_in_force() {
+fn lifted_unconfirmed_stop_is_not_repeated_while_another_is_in_force() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -387,9 +387,9 @@ fn a_stop_that_was_lifted_does_not_go_again_because_another_is_in_force() {
 }
 
 #[test]
-fn each_unconfirmed_stop_goes_when_it_is_time_for_it() {
+fn each_unconfirmed_stop_is_repeated_at_its_own_time() {
     let mut master = Master::<2>::new(Config::CAN);
-    let mut told = [0; 3];
+    let mut reported_at = [0; 3];
     let mut last = [0; 3];
     master.stop(id(1), StopKind::Hold).unwrap();
     for now in 0..3_000 {
@@ -402,21 +402,23 @@ fn each_unconfirmed_stop_goes_when_it_is_time_for_it() {
             let since = now - last[motor];
             last[motor] = now;
             assert!(
-                told[motor] == 0 || now == told[motor] + 100 || (118..125).contains(&since),
+                reported_at[motor] == 0
+                    || now == reported_at[motor] + 100
+                    || (118..125).contains(&since),
                 "{motor} {since}"
             );
         }
         for event in events(&mut master, ms(now)) {
             if let Event::StopUnconfirmed { motor } = event {
-                told[usize::from(motor.get())] = now;
+                reported_at[usize::from(motor.get())] = now;
             }
         }
     }
 }
 
-/// Each of the fifteen that went may still be answered; so may the read from before.
+/// Each of the fifteen attempts may still be answered; so may the read from before.
 #[test]
-fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_first_answer() {
+fn stop_called_again_right_after_it_failed_needs_one_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
     sent(&mut master, ms(0));
@@ -430,9 +432,8 @@ fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_firs
     assert_eq!(sent(&mut master, ms(now + 2)), []);
 }
 
-/// Its first goes after those of others, as its second would.
 #[test]
-fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts() {
+fn unconfirmed_stop_called_again_has_fifteen_attempts() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -441,9 +442,9 @@ fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts(
     assert_eq!(frames, 15);
 }
 
-/// Neither a question to all that waits for another motor's answer, nor one to the motor itself.
+/// Neither a read to all that waits for another motor's answer, nor one to the motor itself.
 #[test]
-fn no_question_keeps_a_stop_back_that_goes_again() {
+fn no_read_delays_a_repeated_stop() {
     for is_to_all in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
@@ -460,16 +461,16 @@ fn no_question_keeps_a_stop_back_that_goes_again() {
 }
 
 #[test]
-fn that_a_stop_is_not_confirmed_is_told_however_late_somebody_asks() {
+fn unconfirmed_stop_is_reported_though_events_are_polled_late() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     (0..600).for_each(|now| drop(sent(&mut master, ms(now))));
     assert_eq!(events(&mut master, ms(600)), [Event::StopUnconfirmed { motor: id(1) }]);
 }
 
-/// Those of the hold that was not confirmed are none of the shutdown's.
+/// The answers that the hold may owe are none to the shutdown.
 #[test]
-fn a_shutdown_after_a_hold_that_was_not_confirmed_is_answered_once() {
+fn shutdown_after_an_unconfirmed_hold_needs_one_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0) + 90;
@@ -481,9 +482,9 @@ fn a_shutdown_after_a_hold_that_was_not_confirmed_is_answered_once() {
     assert_eq!(sent(&mut master, ms(now + 1)).len(), 1, "no other answer may come");
 }
 
-/// The motor answers what it is asked, which is on the line when the stop is due again.
+/// The answer to the read may be on the line when the stop is due again.
 #[test]
-fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
+fn on_rs485_repeated_stop_waits_for_the_answer_to_a_read() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -496,7 +497,7 @@ fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
 }
 
 #[test]
-fn the_callers_own_shutdown_leaves_a_shutdown_that_goes_on_its_answers() {
+fn requested_shutdown_does_not_spoil_the_answer_to_a_repeated_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -544,9 +545,9 @@ fn answers_that_come_together_do_not_keep_a_stop_unconfirmed_for_seconds() {
     assert!(confirmed.is_some_and(|at| at < 2_500), "{confirmed:?}");
 }
 
-/// What became of an earlier stop says nothing of the one that goes on as the caller's own.
+/// The stop is repeated automatically when the caller stops the motor again.
 #[test]
-fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
+fn failure_of_an_unconfirmed_stop_is_not_reported_for_the_next() {
     let master = &mut Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     // No events are polled, and no motor answers.
@@ -564,9 +565,9 @@ fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
     assert_eq!(master.poll_event(), None, "the new stop has just begun");
 }
 
-/// On a cable that is mended it would turn on. A read that a stop cuts off has no answer, so it goes between two.
+/// On a cable that is mended it would turn on. A read that a stop cuts off has no answer, so the stop goes between two.
 #[test]
-fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
+fn motor_heard_again_is_stopped_at_once_without_cutting_off_a_read() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -588,9 +589,9 @@ fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
     assert_eq!(sent(&mut master, ms(now + 24)), []);
 }
 
-/// It answers reads and no stop: others have half of the time at least.
+/// The motor answers reads and no stop: others have half of the time at least.
 #[test]
-fn who_is_heard_again_and_confirms_nothing_is_not_stopped_again_at_once() {
+fn motor_heard_2_ms_after_its_stop_failed_is_not_stopped_at_once() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -600,7 +601,7 @@ fn who_is_heard_again_and_confirms_nothing_is_not_stopped_again_at_once() {
 }
 
 #[test]
-fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing_yet() {
+fn repeated_stop_is_sent_after_the_first_stop_of_another_motor() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -614,9 +615,9 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
     assert_eq!(sent(&mut master, ms(now + 31)), [packet_to(1, Shutdown.encode())]);
 }
 
-/// A hold that was not confirmed goes once more as what all were told since. That alone does not keep the motor off.
+/// A hold that was not confirmed is repeated as the later shutdown to all. That alone does not keep the motor off.
 #[test]
-fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
+fn repeated_stop_does_not_keep_a_motor_off_that_no_stop_switched_off() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
@@ -628,24 +629,25 @@ fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     assert!(master.request(id(1), Stop).is_ok());
 }
 
-/// A motor was told to be off since its hold was given up. The answer to the hold is late, and from before the next
-/// stop.
+/// The hold of the motor was given up, and it was sent a shutdown since. The answer to that comes before the next stop
+/// is sent.
 #[test]
-fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
+fn late_answer_to_a_requested_shutdown_does_not_confirm_an_unsent_one() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
     let off = master.request_with(id(1), Shutdown, once(20)).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
-    let told = events(&mut master, ms(now + 21));
-    assert_eq!(told, [Event::Failed { ticket: off.id(), failure: Failure::NoReply }]);
+    let reported = events(&mut master, ms(now + 21));
+    assert_eq!(reported, [Event::Failed { ticket: off.id(), failure: Failure::NoReply }]);
     master.stop(id(1), StopKind::Off).unwrap();
     let late = reply(&mut master, 1, Shutdown.encode(), ms(now + 22));
     assert!(matches!(late, Some(Event::Stray { .. })), "{late:?}");
 }
 
+/// A drive without a brake answers the lock, too.
 #[test]
-fn the_lock_of_a_brake_that_may_not_be_there_ends_no_stop() {
+fn answered_brake_lock_does_not_end_an_unconfirmed_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     let given_up = is_given_up(&mut master, 1, 0);
@@ -666,9 +668,9 @@ fn the_lock_of_a_brake_that_may_not_be_there_ends_no_stop() {
     assert!(is_locked && stops > 0, "{is_locked} {stops}");
 }
 
-/// The outcome of the last one would be reported for the ticket of the next.
+/// Otherwise its outcome would be reported for the ticket of the next request.
 #[test]
-fn no_request_is_taken_before_it_was_told_that_a_stop_went_again_in_place_of_the_last() {
+fn request_is_refused_until_the_one_a_repeated_stop_ended_is_reported() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
     let from = is_given_up(&mut master, 1, 0);
@@ -676,7 +678,10 @@ fn no_request_is_taken_before_it_was_told_that_a_stop_went_again_in_place_of_the
     assert_eq!(sent(&mut master, ms(from + 100)), [packet_to(1, Stop.encode())]);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(from + 101)), confirmed(1));
     assert_eq!(master.request(id(1), ReadStatus1).err(), Some(RequestError::Busy));
-    let told = events(&mut master, ms(from + 101));
-    assert_eq!(told.iter().find_map(|it| read.outcome(it)), Some(Err(Failure::StopUnconfirmed)));
+    let reported = events(&mut master, ms(from + 101));
+    assert_eq!(
+        reported.iter().find_map(|it| read.outcome(it)),
+        Some(Err(Failure::StopUnconfirmed))
+    );
     assert!(master.request(id(1), ReadStatus1).is_ok());
 }

@@ -4,7 +4,7 @@ use super::*;
 
 pub(super) const TO_ALL: Channel = Channel::Command(Target::All);
 
-/// All were told to move. Motor 1 has a place; any others that have heard it have none.
+/// All were commanded to move. Motor 1 has a place; any others that have heard it have none.
 pub(super) fn all_move() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -33,7 +33,7 @@ pub(super) fn to(motor: u8) -> Channel {
 }
 
 #[test]
-fn a_stop_of_all_reaches_whom_a_command_to_all_has_moved() {
+fn stop_of_all_goes_to_all_after_a_broadcast_that_moved() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -48,7 +48,7 @@ fn a_stop_of_all_reaches_whom_a_command_to_all_has_moved() {
 }
 
 #[test]
-fn its_answer_is_one_to_ones_own_stop() {
+fn answer_to_a_stop_to_all_confirms_the_motors_own_stop() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 2);
@@ -61,7 +61,7 @@ fn its_answer_is_one_to_ones_own_stop() {
 }
 
 #[test]
-fn an_answer_that_comes_before_ones_own_stop_was_sent_confirms_it() {
+fn answer_to_a_stop_to_all_confirms_the_own_stop_before_it_was_sent() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packet = master.poll_transmit(ms(100)).unwrap();
@@ -76,7 +76,7 @@ fn an_answer_that_comes_before_ones_own_stop_was_sent_confirms_it() {
 }
 
 #[test]
-fn a_late_answer_to_it_confirms_no_later_stop() {
+fn late_answer_to_a_stop_to_all_confirms_no_later_stop() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 2);
@@ -90,7 +90,7 @@ fn a_late_answer_to_it_confirms_no_later_stop() {
 }
 
 #[test]
-fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
+fn handed_back_stop_to_all_is_sent_again_and_awaited_once() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -113,7 +113,7 @@ fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
 }
 
 #[test]
-fn handed_back_before_ones_own_stop_was_sent_it_owes_no_answer() {
+fn stop_to_all_handed_back_before_the_own_stop_owes_no_answer() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     master.handle_timeout(ms(100));
@@ -130,7 +130,7 @@ fn handed_back_before_ones_own_stop_was_sent_it_owes_no_answer() {
 }
 
 #[test]
-fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
+fn older_stop_to_all_handed_back_does_not_follow_a_newer_one() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let older = sent(&mut master, ms(100));
@@ -143,7 +143,7 @@ fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
 }
 
 #[test]
-fn one_that_waits_is_not_given_up_for_another_that_may_not_go() {
+fn waiting_shutdown_to_all_is_not_dropped_for_a_later_hold_of_all() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     // Motors that were not named have heard nothing yet.
@@ -154,7 +154,7 @@ fn one_that_waits_is_not_given_up_for_another_that_may_not_go() {
 }
 
 #[test]
-fn handed_back_it_is_not_taken_for_a_command_to_all_of_long_ago() {
+fn handed_back_stop_to_all_is_not_taken_for_an_old_equal_broadcast() {
     let mut master = all_move();
     sent(&mut master, ms(200));
     master.broadcast(Stop, id(1).into()).unwrap();
@@ -170,7 +170,7 @@ fn handed_back_it_is_not_taken_for_a_command_to_all_of_long_ago() {
 }
 
 #[test]
-fn off_is_confirmed_once_no_hold_of_all_can_come_behind_it() {
+fn shutdown_is_in_doubt_while_an_earlier_hold_to_all_may_arrive() {
     // In a controller that sends by priority 0x141 overtakes 0x280, whichever was put first.
     for is_sent_before in [false, true] {
         let mut master = all_move();
@@ -185,7 +185,7 @@ fn off_is_confirmed_once_no_hold_of_all_can_come_behind_it() {
 }
 
 #[test]
-fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_it() {
+fn requested_shutdown_is_answered_once_no_hold_to_all_can_arrive() {
     for is_sent_before in [false, true] {
         let mut master = all_move();
         master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
@@ -206,7 +206,7 @@ fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_
 }
 
 #[test]
-fn who_was_switched_off_with_all_is_switched_on_by_no_hold_of_all() {
+fn hold_of_all_does_not_switch_unknown_motors_on_after_a_shutdown_of_all() {
     // No motor has a place, so none is known to be off.
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     for (kind, now) in [(StopKind::Off, 0), (StopKind::Hold, 100)] {
@@ -217,7 +217,7 @@ fn who_was_switched_off_with_all_is_switched_on_by_no_hold_of_all() {
 }
 
 #[test]
-fn what_waits_for_a_lost_answer_to_it_goes_when_that_can_come_no_more() {
+fn shutdown_waits_until_a_stop_to_all_can_no_longer_be_answered() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -232,7 +232,7 @@ fn what_waits_for_a_lost_answer_to_it_goes_when_that_can_come_no_more() {
 }
 
 #[test]
-fn who_stops_all_in_every_cycle_hears_of_a_motor_that_hears_no_command_to_all() {
+fn cyclic_stop_of_all_is_confirmed_by_a_motor_deaf_to_broadcasts() {
     let mut master = all_have_moved();
     let (mut to_all, mut confirmed) = (0, 0);
     for now in 100..300 {
@@ -244,8 +244,8 @@ fn who_stops_all_in_every_cycle_hears_of_a_motor_that_hears_no_command_to_all() 
             let event = reply(&mut master, 2, Stop.encode(), ms(now) + Duration::from_micros(700));
             confirmed += usize::from(event == Some(Event::StopConfirmed { motor: id(2) }));
         }
-        let told = events(&mut master, ms(now));
-        assert!(!told.contains(&Event::StopUnconfirmed { motor: id(2) }), "{now}");
+        let reported = events(&mut master, ms(now));
+        assert!(!reported.contains(&Event::StopUnconfirmed { motor: id(2) }), "{now}");
     }
     assert_eq!(to_all, 1, "the same stop goes to all once");
     // The answer that it owes to the one to all may be taken for its own to the next: that goes twice.
@@ -253,7 +253,7 @@ fn who_stops_all_in_every_cycle_hears_of_a_motor_that_hears_no_command_to_all() 
 }
 
 #[test]
-fn a_motor_that_hears_no_command_to_all_confirms_like_the_others() {
+fn motor_deaf_to_broadcasts_confirms_once_no_move_can_arrive() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(2), to(1)]);
@@ -264,7 +264,7 @@ fn a_motor_that_hears_no_command_to_all_confirms_like_the_others() {
 }
 
 #[test]
-fn an_answer_to_it_that_comes_quickly_is_no_stray() {
+fn quick_answer_to_a_stop_to_all_is_no_stray() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.poll_transmit(ms(100)).unwrap();
@@ -272,13 +272,13 @@ fn an_answer_to_it_that_comes_quickly_is_no_stray() {
     let soon = |us| ms(100) + Duration::from_micros(us);
     assert_eq!(channels(&sent(&mut master, soon(400))), [to(1)]);
     // Too soon after its own, but not after the one to all.
-    let told = [500, 1_100].map(|us| reply(&mut master, 1, Stop.encode(), soon(us)));
-    assert_eq!(told, [None, confirmed(1)]);
+    let reported = [500, 1_100].map(|us| reply(&mut master, 1, Stop.encode(), soon(us)));
+    assert_eq!(reported, [None, confirmed(1)]);
     assert_eq!(master.health(id(1)).stray, 0);
 }
 
 #[test]
-fn whom_one_to_all_has_switched_off_no_hold_that_names_it_switches_on() {
+fn motor_shut_down_by_a_stop_to_all_is_not_switched_on_by_a_named_hold() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(100));
@@ -293,7 +293,7 @@ fn whom_one_to_all_has_switched_off_no_hold_that_names_it_switches_on() {
 }
 
 #[test]
-fn off_is_confirmed_once_no_broadcast_stop_can_come_behind_it() {
+fn shutdown_is_confirmed_once_no_broadcast_hold_can_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(0))), [TO_ALL]);
@@ -306,7 +306,7 @@ fn off_is_confirmed_once_no_broadcast_stop_can_come_behind_it() {
 }
 
 #[test]
-fn a_doubled_answer_to_an_earlier_stop_confirms_none_that_waits() {
+fn duplicate_answer_to_an_earlier_stop_confirms_no_waiting_one() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 2);
@@ -325,7 +325,7 @@ fn a_doubled_answer_to_an_earlier_stop_confirms_none_that_waits() {
 }
 
 #[test]
-fn hold_is_confirmed_once_no_shutdown_of_before_can_come_behind_it() {
+fn hold_is_confirmed_once_no_earlier_shutdown_can_arrive() {
     // It was sent twice and answered once: the other may be in a mailbox.
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -341,7 +341,7 @@ fn hold_is_confirmed_once_no_shutdown_of_before_can_come_behind_it() {
 }
 
 #[test]
-fn off_is_confirmed_once_no_hold_of_before_can_come_behind_it() {
+fn shutdown_is_confirmed_once_no_earlier_hold_can_arrive() {
     // A controller that keeps no order among frames of one motor sends the Off first, and the Hold switches it on.
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
@@ -355,7 +355,7 @@ fn off_is_confirmed_once_no_hold_of_before_can_come_behind_it() {
 }
 
 #[test]
-fn off_behind_a_hold_that_is_confirmed_waits_for_nothing() {
+fn shutdown_after_a_confirmed_hold_is_confirmed_at_once() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -366,7 +366,7 @@ fn off_behind_a_hold_that_is_confirmed_waits_for_nothing() {
 }
 
 #[test]
-fn one_that_waits_goes_no_more_once_it_was_lifted_and_another_stop_is_in_force() {
+fn waiting_stop_to_all_is_dropped_once_lifted_and_replaced() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     master.lift_stop();
@@ -376,7 +376,7 @@ fn one_that_waits_goes_no_more_once_it_was_lifted_and_another_stop_is_in_force()
 }
 
 #[test]
-fn one_that_goes_again_answers_no_request_of_the_caller() {
+fn answer_to_a_resent_stop_to_all_does_not_answer_a_shutdown_request() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -393,7 +393,7 @@ fn one_that_goes_again_answers_no_request_of_the_caller() {
 }
 
 #[test]
-fn one_that_is_handed_back_takes_nothing_from_a_request_of_the_caller() {
+fn handed_back_stop_to_all_does_not_delay_a_shutdown_requests_answer() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -410,7 +410,7 @@ fn one_that_is_handed_back_takes_nothing_from_a_request_of_the_caller() {
 }
 
 #[test]
-fn a_stop_to_all_that_is_handed_back_is_not_taken_for_a_broadcast_that_never_went() {
+fn handed_back_stop_to_all_is_not_taken_for_an_unsent_broadcast() {
     let mut master = Master::<2>::new(Config::CAN);
     // In a mailbox.
     master.broadcast(torque(1.0), id(1).into()).unwrap();
@@ -428,8 +428,8 @@ fn a_stop_to_all_that_is_handed_back_is_not_taken_for_a_broadcast_that_never_wen
 }
 
 #[test]
-fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_doubt() {
-    for is_told in [false, true] {
+fn handed_back_hold_to_all_leaves_a_later_shutdown_to_all_pending() {
+    for is_reported in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.broadcast(Stop, MotorSet::EMPTY).unwrap();
         let hold_in_mailbox = sent(&mut master, ms(0))[0];
@@ -440,7 +440,7 @@ fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_dou
         events(&mut master, ms(1));
         // Looks like the first, and was not sent.
         master.broadcast(Stop, MotorSet::EMPTY).unwrap();
-        if is_told {
+        if is_reported {
             master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
             assert_eq!(events(&mut master, ms(1)).len(), 1, "it never is");
             master.lift_stop();
@@ -453,7 +453,7 @@ fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_dou
 }
 
 #[test]
-fn off_goes_again_after_a_hold_that_changed_nothing() {
+fn handed_back_shutdown_to_all_is_resent_after_a_hold_without_effect() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -464,7 +464,7 @@ fn off_goes_again_after_a_hold_that_changed_nothing() {
 }
 
 #[test]
-fn a_stop_of_all_behind_that_of_one_reaches_whom_nobody_has_named() {
+fn stop_of_all_after_that_of_one_motor_still_goes_to_all() {
     let to_all = |packets: &[Packet]| packets.contains(&packet_to_all(Shutdown.encode()));
     let mut line = Master::<2>::new(Config::rs485(1_000_000, false));
     line.stop(id(1), StopKind::Off).unwrap();
@@ -483,7 +483,7 @@ fn a_stop_of_all_behind_that_of_one_reaches_whom_nobody_has_named() {
 }
 
 #[test]
-fn a_hold_of_all_that_is_handed_back_goes_again_where_the_shutdown_was_before_it() {
+fn handed_back_hold_to_all_is_resent_if_the_shutdown_came_before_it() {
     let mut master = all_have_moved();
     let _off = master.request(id(1), Shutdown).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 1);
@@ -496,7 +496,7 @@ fn a_hold_of_all_that_is_handed_back_goes_again_where_the_shutdown_was_before_it
 }
 
 #[test]
-fn the_answer_to_a_hold_of_all_is_awaited_beside_that_to_ones_own_shutdown() {
+fn answer_to_a_hold_to_all_is_no_stray_during_the_own_shutdown() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -504,9 +504,9 @@ fn the_answer_to_a_hold_of_all_is_awaited_beside_that_to_ones_own_shutdown() {
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), None, "it is no stray");
 }
 
-/// A stop of all is in force already, when another motor is named.
+/// A stop of all is in force already when another motor is named.
 #[test]
-fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
+fn stop_of_more_motors_than_places_goes_to_all_though_one_is_in_force() {
     let mut master = Master::<1>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(0));
@@ -529,9 +529,9 @@ fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
     assert!(at.len() > 1 && at.windows(2).all(|at| at[1] - at[0] >= 100), "{at:?}");
 }
 
-/// It has not been told to stop, although all were stopped.
+/// The motor has no place, and has got no stop, although all were stopped.
 #[test]
-fn whoever_is_found_without_a_place_while_a_stop_is_in_force_is_stopped_when_it_is_called_again() {
+fn motor_found_during_a_stop_of_all_is_stopped_when_it_is_called_again() {
     let mut master = Master::<1>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(0));
@@ -546,9 +546,9 @@ fn whoever_is_found_without_a_place_while_a_stop_is_in_force_is_stopped_when_it_
     assert!(!sent(&mut master, ms(4)).contains(&packet_to_all(Stop.encode())));
 }
 
-/// Nor has it heard the one that went to all before it was there.
+/// The motor has no place, and was not there when the last stop went to all.
 #[test]
-fn whoever_is_found_without_a_place_after_a_stop_to_all_is_told_by_the_next() {
+fn motor_found_after_a_stop_to_all_gets_the_next_one() {
     let mut master = Master::<1>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(0));
@@ -561,7 +561,7 @@ fn whoever_is_found_without_a_place_after_a_stop_to_all_is_told_by_the_next() {
 }
 
 #[test]
-fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
+fn stop_of_all_goes_to_all_while_no_motor_is_known() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         let mut master = Master::<2>::new(config);
         master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
@@ -569,7 +569,7 @@ fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
     }
 }
 
-/// All were told to move, stopped like this, which motor 1 has confirmed, and let go again.
+/// All were commanded to move, stopped like this, which motor 1 has confirmed, and the stop was lifted.
 fn stopped_and_lifted(kind: StopKind) -> (Master<2>, u64) {
     let mut master = all_move();
     master.stop_all(kind, MotorSet::EMPTY).unwrap();
@@ -587,7 +587,7 @@ fn stopped_and_lifted(kind: StopKind) -> (Master<2>, u64) {
     (master, now)
 }
 
-fn tell_all<C: Command>(master: &mut Master<2>, command: C, answer: Data, now: u64) {
+fn command_all<C: Command>(master: &mut Master<2>, command: C, answer: Data, now: u64) {
     master.broadcast(command, id(1).into()).unwrap();
     assert_eq!(channels(&sent(master, ms(now))), [TO_ALL]);
     reply(master, 1, answer, ms(now + 1)).unwrap();
@@ -601,35 +601,35 @@ fn reaches_all(master: &mut Master<2>, kind: StopKind, now: u64) -> bool {
 }
 
 #[test]
-fn whoever_has_no_place_is_stopped_again_once_all_were_moved_or_let_go_since() {
+fn stop_of_all_goes_to_all_again_once_all_were_moved_or_shut_down() {
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     assert!(!reaches_all(&mut master, StopKind::Off, now), "nothing has moved anybody");
     // Nor does a question.
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
-    tell_all(&mut master, ReadMultiTurnAngle, ANGLE_REPLY, now);
+    command_all(&mut master, ReadMultiTurnAngle, ANGLE_REPLY, now);
     assert!(!reaches_all(&mut master, StopKind::Off, now + 2));
-    // Motor 1 was told individually since, and the others were not.
+    // Motor 1 was stopped individually since, and the others were not.
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
-    tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
+    command_all(&mut master, torque(1.0), TORQUE_REPLY, now);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(now + 2))), [to(1)]);
     assert!(reaches_all(&mut master, StopKind::Off, now + 3));
     // It was called twice before it could go.
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
-    tell_all(&mut master, torque(1.0), TORQUE_REPLY, now);
+    command_all(&mut master, torque(1.0), TORQUE_REPLY, now);
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     master.lift_stop();
     assert!(reaches_all(&mut master, StopKind::Off, now + 2));
     // They were held, and are off now.
     let (mut master, now) = stopped_and_lifted(StopKind::Hold);
-    tell_all(&mut master, Shutdown, Shutdown.encode(), now);
+    command_all(&mut master, Shutdown, Shutdown.encode(), now);
     assert!(reaches_all(&mut master, StopKind::Hold, now + 2));
 }
 
-/// One of them is off since, or all, whatever others were told after that.
+/// One motor is off since, or all, whatever others were sent after that.
 #[test]
-fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
-    fn goes_again(tell: impl FnOnce(&mut Master<2>)) -> bool {
+fn handed_back_hold_to_all_is_not_resent_once_a_motor_is_off() {
+    fn goes_again(command: impl FnOnce(&mut Master<2>)) -> bool {
         let mut master = Master::<2>::new(Config::CAN);
         let more: MotorSet = [id(1), id(2), id(3)].into();
         assert!(master.stop_all(StopKind::Hold, more).is_err(), "there are two places");
@@ -638,7 +638,7 @@ fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
         for motor in [1, 2] {
             assert_eq!(reply(&mut master, motor, Stop.encode(), ms(1)), confirmed(motor));
         }
-        tell(&mut master);
+        command(&mut master);
         master.handle_pushed_out(&hold);
         sent(&mut master, ms(10)).contains(&hold)
     }
@@ -664,7 +664,7 @@ fn a_hold_of_all_that_is_handed_back_behind_a_shutdown_does_not_go_again() {
 
 /// It was lifted before that, and nothing has moved any motor since; but no motor without a place has heard it.
 #[test]
-fn a_stop_to_all_that_was_handed_back_and_is_lifted_goes_when_it_is_called_again() {
+fn handed_back_stop_to_all_is_resent_when_called_again_after_a_lift() {
     let (mut master, now) = stopped_and_lifted(StopKind::Off);
     master.handle_pushed_out(&packet_to_all(Shutdown.encode()));
     assert_eq!(sent(&mut master, ms(now)), []);

@@ -3,8 +3,8 @@
 use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, to};
 use super::*;
 
-/// All were told this, and no motor that has a place is expected to answer.
-fn all_were_told<C: Command>(master: &mut Master<2>, command: C, now: Instant) {
+/// All were commanded this, and no motor that has a place is expected to answer.
+fn command_all<C: Command>(master: &mut Master<2>, command: C, now: Instant) {
     master.broadcast(command, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(master, now)), [TO_ALL]);
     events(master, now);
@@ -24,7 +24,7 @@ fn one_shutdown_unanswered() -> Master<2> {
 }
 
 #[test]
-fn a_shutdown_of_before_may_come_behind_a_hold_for_the_time_out_and_the_late_window() {
+fn earlier_shutdown_may_arrive_after_a_hold_for_time_out_and_late_window() {
     for is_stop in [true, false] {
         let mut master = one_shutdown_unanswered();
         let mut ticket = None;
@@ -38,18 +38,18 @@ fn a_shutdown_of_before_may_come_behind_a_hold_for_the_time_out_and_the_late_win
         // 20.4 ms and 40.8 ms after 52 ms.
         assert_eq!(sent(&mut master, ms(113)), []);
         assert_eq!(channels(&sent(&mut master, ms(114))), [to(1)]);
-        let told = reply(&mut master, 1, Stop.encode(), ms(115));
+        let reported = reply(&mut master, 1, Stop.encode(), ms(115));
         match ticket {
-            None => assert_eq!(told, confirmed(1)),
-            Some(ticket) => assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Stop))),
+            None => assert_eq!(reported, confirmed(1)),
+            Some(ticket) => assert_eq!(ticket.outcome(&reported.unwrap()), Some(Ok(Stop))),
         }
     }
 }
 
 #[test]
-fn a_stop_to_all_that_a_cut_bus_keeps_holds_whom_it_reaches_however_late() {
+fn hold_to_all_kept_by_a_cut_bus_leaves_a_later_shutdown_in_doubt() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, torque(1.0), ms(0));
+    command_all(&mut master, torque(1.0), ms(0));
     // The move has come; nobody has a place.
     reply(&mut master, 2, ANGLE_REPLY, ms(70));
     events(&mut master, ms(120));
@@ -67,9 +67,9 @@ fn a_stop_to_all_that_a_cut_bus_keeps_holds_whom_it_reaches_however_late() {
 }
 
 #[test]
-fn off_is_in_doubt_while_a_cut_bus_may_keep_a_hold_of_all() {
+fn shutdown_is_in_doubt_while_a_cut_bus_may_keep_a_hold_to_all() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, Stop, ms(0));
+    command_all(&mut master, Stop, ms(0));
     events(&mut master, ms(300));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(500))), [to(1)]);
@@ -80,9 +80,9 @@ fn off_is_in_doubt_while_a_cut_bus_may_keep_a_hold_of_all() {
 }
 
 #[test]
-fn a_hold_of_all_that_was_answered_does_not_come_behind_a_shutdown() {
+fn answered_hold_to_all_leaves_no_later_shutdown_in_doubt() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, Stop, ms(0));
+    command_all(&mut master, Stop, ms(0));
     reply(&mut master, 1, Stop.encode(), ms(1));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(2))), [to(1)]);
@@ -90,9 +90,9 @@ fn a_hold_of_all_that_was_answered_does_not_come_behind_a_shutdown() {
 }
 
 #[test]
-fn what_is_to_go_once_more_does_not_wait_where_the_bus_may_be_cut() {
+fn stop_in_doubt_is_repeated_in_time_though_the_bus_may_be_cut() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, torque(1.0), ms(0));
+    command_all(&mut master, torque(1.0), ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
@@ -105,9 +105,9 @@ fn what_is_to_go_once_more_does_not_wait_where_the_bus_may_be_cut() {
 }
 
 #[test]
-fn a_line_keeps_the_order_of_a_hold_of_all_and_a_shutdown_of_one() {
+fn on_rs485_shutdown_after_a_hold_to_all_is_confirmed_by_one_answer() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    all_were_told(&mut master, Stop, ms(0));
+    command_all(&mut master, Stop, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
     // Nothing meets the answers to the one to all, for 5 ms and the turnaround.
     assert_eq!(sent(&mut master, ms(5)), []);
@@ -117,10 +117,10 @@ fn a_line_keeps_the_order_of_a_hold_of_all_and_a_shutdown_of_one() {
 }
 
 #[test]
-fn a_motor_that_a_move_of_all_before_the_last_command_to_all_may_reach_is_not_forgotten() {
+fn motor_that_an_earlier_move_to_all_may_reach_is_not_forgotten() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, torque(1.0), ms(0));
-    all_were_told(&mut master, ReadMultiTurnAngle, ms(1));
+    command_all(&mut master, torque(1.0), ms(0));
+    command_all(&mut master, ReadMultiTurnAngle, ms(1));
     let _ = ask(&mut master, 1, ReadRunTime, ms(2));
     reply(&mut master, 1, [0xB1, 0, 0, 0, 1, 0, 0, 0], ms(3)).unwrap();
     assert!(!master.forget(id(1)), "it may lie in a mailbox");
@@ -133,23 +133,23 @@ fn a_motor_that_a_move_of_all_before_the_last_command_to_all_may_reach_is_not_fo
 }
 
 #[test]
-fn a_lock_is_answered_only_when_no_move_of_all_can_reach_the_motor_any_more() {
+fn lock_counts_as_answered_only_once_no_move_to_all_can_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, torque(1.0), ms(0));
+    command_all(&mut master, torque(1.0), ms(0));
     let locked = master.request(id(1), LockBrake).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
     assert_eq!(reply(&mut master, 1, LockBrake.encode(), ms(2)), None);
     // 20.4 ms and 40.8 ms after the move.
     assert_eq!(sent(&mut master, ms(61)), []);
     assert_eq!(channels(&sent(&mut master, ms(62))), [to(1)]);
-    let told = reply(&mut master, 1, LockBrake.encode(), ms(63)).unwrap();
-    assert!(locked.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, LockBrake.encode(), ms(63)).unwrap();
+    assert!(locked.outcome(&reported).is_some());
 }
 
-/// Motor 1 has not answered the move of all, is told twice to switch off, and answers the first: it is sent once more.
+/// Motor 1 has not answered the move of all, is sent two shutdowns, and answers the first: it is sent once more.
 fn in_doubt_and_asked_twice() -> Master<2> {
     let mut master = Master::new(Config::CAN);
-    all_were_told(&mut master, torque(1.0), ms(0));
+    command_all(&mut master, torque(1.0), ms(0));
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(1))), [TO_ALL, to(1)]);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
@@ -157,7 +157,7 @@ fn in_doubt_and_asked_twice() -> Master<2> {
 }
 
 #[test]
-fn an_answer_that_comes_just_behind_the_move_does_not_confirm_the_stop_that_was_before_it() {
+fn answer_right_after_the_moves_feedback_does_not_confirm_the_stop() {
     let mut master = in_doubt_and_asked_twice();
     // Which of the two arrived after the move is not known.
     reply(&mut master, 1, TORQUE_REPLY, ms(3));
@@ -167,7 +167,7 @@ fn an_answer_that_comes_just_behind_the_move_does_not_confirm_the_stop_that_was_
 }
 
 #[test]
-fn an_answer_that_confirms_nothing_is_not_awaited_any_more() {
+fn answer_that_confirms_nothing_is_no_longer_owed() {
     let mut master = in_doubt_and_asked_twice();
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None, "the other's");
     reply(&mut master, 1, TORQUE_REPLY, ms(4));
@@ -180,7 +180,7 @@ fn an_answer_that_confirms_nothing_is_not_awaited_any_more() {
 }
 
 #[test]
-fn the_answer_to_the_other_of_two_stops_is_awaited_though_the_first_came_twice() {
+fn duplicate_of_the_first_answer_is_not_that_to_the_second_stop() {
     let mut master = in_doubt_and_asked_twice();
     let soon = ms(2) + Duration::from_micros(300);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), soon), None, "no drive is so quick");
@@ -192,19 +192,19 @@ fn the_answer_to_the_other_of_two_stops_is_awaited_though_the_first_came_twice()
 }
 
 #[test]
-fn what_comes_between_two_attempts_of_a_request_is_no_answer_to_it() {
+fn reply_between_two_attempts_of_a_request_is_a_stray() {
     let mut master = Master::<2>::new(Config::CAN);
     let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     assert_eq!(events(&mut master, ms(21)), [], "it is to go once more");
-    let told = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
-    assert!(matches!(told, Event::Stray { .. }), "{told:?}");
+    let reported = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(matches!(reported, Event::Stray { .. }), "{reported:?}");
     assert_eq!(channels(&sent(&mut master, ms(23))), [to(1)]);
-    let told = reply(&mut master, 1, ANGLE_REPLY, ms(24)).unwrap();
-    assert!(angle.outcome(&told).is_some());
+    let reported = reply(&mut master, 1, ANGLE_REPLY, ms(24)).unwrap();
+    assert!(angle.outcome(&reported).is_some());
 }
 
 #[test]
-fn a_stop_to_all_that_is_handed_back_is_awaited_no_more_than_it_was_sent() {
+fn handed_back_stop_to_all_owes_one_answer_for_each_frame_on_the_bus() {
     // Before the motor has confirmed its own, and after.
     for is_confirmed in [false, true] {
         let mut master = all_move();
@@ -228,7 +228,7 @@ fn a_stop_to_all_that_is_handed_back_is_awaited_no_more_than_it_was_sent() {
 }
 
 #[test]
-fn a_stop_to_all_that_is_handed_back_behind_the_next_stop_owes_that_no_answer() {
+fn stop_to_all_handed_back_after_the_next_stop_owes_it_no_answer() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -245,7 +245,7 @@ fn a_stop_to_all_that_is_handed_back_behind_the_next_stop_owes_that_no_answer() 
 }
 
 #[test]
-fn what_the_caller_tells_all_and_is_handed_back_is_not_taken_for_the_stop_of_all_in_force() {
+fn callers_stop_to_all_handed_back_is_not_taken_for_the_stop_in_force() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
@@ -264,7 +264,7 @@ fn what_the_caller_tells_all_and_is_handed_back_is_not_taken_for_the_stop_of_all
 }
 
 #[test]
-fn a_hold_of_all_that_waits_is_given_up_where_it_would_switch_on_who_is_to_be_off() {
+fn waiting_hold_to_all_is_dropped_once_a_motor_is_to_be_off() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -275,36 +275,36 @@ fn a_hold_of_all_that_waits_is_given_up_where_it_would_switch_on_who_is_to_be_of
 }
 
 #[test]
-fn what_comes_too_soon_after_the_only_stop_is_a_stray() {
+fn impossibly_quick_answer_to_the_only_stop_is_a_stray() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(0))), [to(1)]);
     // No drive answers before 0.27 ms, and no other stop was sent.
-    let told = reply(&mut master, 1, Shutdown.encode(), Instant::from_micros(100)).unwrap();
-    assert!(matches!(told, Event::Stray { .. }), "{told:?}");
+    let reported = reply(&mut master, 1, Shutdown.encode(), Instant::from_micros(100)).unwrap();
+    assert!(matches!(reported, Event::Stray { .. }), "{reported:?}");
     assert_eq!(master.health(id(1)).stray, 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
 }
 
 #[test]
-fn feedback_is_heard_while_a_stop_to_all_and_ones_own_are_awaited() {
+fn feedback_counts_while_a_stop_to_all_and_one_to_the_motor_are_awaited() {
     let mut master = all_have_moved();
     master.set_point(id(1), torque(1.0), ms(99)).unwrap();
     assert_eq!(sent(&mut master, ms(99)).len(), 1);
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
-    let told = reply(&mut master, 1, TORQUE_REPLY, ms(101));
-    assert!(told.is_some_and(|it| it.feedback().is_some()));
+    let reported = reply(&mut master, 1, TORQUE_REPLY, ms(101));
+    assert!(reported.is_some_and(|it| it.feedback().is_some()));
     // So it has arrived, and the stop after it.
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), confirmed(1));
 }
 
 #[test]
-fn an_answer_to_a_stop_that_waits_measures_no_round_trip() {
+fn answer_to_a_stop_not_sent_yet_measures_no_round_trip() {
     let mut master = Master::<2>::new(Config::CAN.adapting_up_to(Duration::from_millis(100)));
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    all_were_told(&mut master, torque(1.0), ms(10));
+    command_all(&mut master, torque(1.0), ms(10));
     reply(&mut master, 1, TORQUE_REPLY, ms(11));
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(90));
     reply(&mut master, 1, ANGLE_REPLY, ms(91)).unwrap();
@@ -321,7 +321,7 @@ fn an_answer_to_a_stop_that_waits_measures_no_round_trip() {
 }
 
 #[test]
-fn who_answers_a_stop_that_waits_to_be_sent_again_is_there() {
+fn motor_that_answers_between_two_attempts_of_a_stop_is_present() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(0))), [to(1)]);
@@ -332,7 +332,7 @@ fn who_answers_a_stop_that_waits_to_be_sent_again_is_there() {
 }
 
 #[test]
-fn who_is_stopped_already_is_not_stopped_anew_for_a_shutdown_of_all() {
+fn shutdown_to_all_sent_individually_skips_a_motor_already_off() {
     let mut master = Master::<4>::new(Config::CAN);
     // The one to all waits for this.
     let _ = ask(&mut master, 3, ReadMultiTurnAngle, ms(0));
@@ -345,7 +345,7 @@ fn who_is_stopped_already_is_not_stopped_anew_for_a_shutdown_of_all() {
 }
 
 #[test]
-fn a_bus_that_goes_down_keeps_a_move_on_its_way_for_longer() {
+fn bus_down_extends_how_long_a_move_may_still_arrive() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -359,7 +359,7 @@ fn a_bus_that_goes_down_keeps_a_move_on_its_way_for_longer() {
 }
 
 #[test]
-fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all() {
+fn handed_back_hold_to_all_is_not_sent_after_a_shutdown_to_all() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -376,7 +376,7 @@ fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all() {
 }
 
 #[test]
-fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_one() {
+fn handed_back_hold_to_all_is_not_sent_after_a_shutdown_of_one_motor() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
@@ -386,21 +386,21 @@ fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_one() {
     // Later than any answer is expected: the answer to this is reported.
     events(&mut master, ms(250));
     let off = master.request(id(1), Shutdown).unwrap();
-    let mut told = None;
+    let mut reported = None;
     for now in 250..400 {
         for packet in sent(&mut master, ms(now)) {
             let event = reply(&mut master, 1, packet.data, ms(now) + Duration::from_micros(900));
-            told = told.or(event.and_then(|event| off.outcome(&event)));
+            reported = reported.or(event.and_then(|event| off.outcome(&event)));
         }
         events(&mut master, ms(now));
     }
-    assert!(told.is_some());
+    assert!(reported.is_some());
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(400)), [], "motor 1 was switched off since");
 }
 
 #[test]
-fn a_shutdown_of_all_that_is_handed_back_does_not_follow_a_hold_of_all_without_places() {
+fn handed_back_shutdown_to_all_is_not_sent_after_a_hold_of_unknown_motors() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
@@ -416,7 +416,7 @@ fn a_shutdown_of_all_that_is_handed_back_does_not_follow_a_hold_of_all_without_p
 }
 
 #[test]
-fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all_without_places() {
+fn handed_back_hold_to_all_is_not_sent_after_a_shutdown_of_unknown_motors() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
@@ -433,17 +433,17 @@ fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all_without_p
 }
 
 #[test]
-fn what_may_answer_all_rather_than_the_stop_tells_nothing_where_nobody_is_expected_to() {
+fn answer_that_may_be_to_a_shutdown_to_all_confirms_no_later_stop() {
     let mut master = Master::<2>::new(Config::CAN);
-    all_were_told(&mut master, Shutdown, ms(0));
+    command_all(&mut master, Shutdown, ms(0));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
 }
 
-/// On CAN, after a move of all: the stop to all (0x280) overtakes a set-point of motion mode (0x401) in the mailboxes.
+/// On CAN, the stop to all (0x280) overtakes a set-point of motion mode (0x401) in the mailboxes.
 #[test]
-fn the_answer_to_the_stop_of_all_confirms_nothing_while_a_set_point_is_in_flight() {
+fn answer_to_a_stop_to_all_confirms_nothing_while_a_set_point_is_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(step(), id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -462,9 +462,9 @@ fn the_answer_to_the_stop_of_all_confirms_nothing_while_a_set_point_is_in_flight
     assert_ne!(heard, confirmed(1), "the set-point lies in a mailbox yet");
 }
 
-/// The same where the move of all was not answered, and the set-point is lost after the first answer.
+/// The stop to all was answered before the motor's own was sent, and the move to all was not answered.
 #[test]
-fn a_stop_goes_on_though_a_set_point_is_lost_after_its_first_answer() {
+fn stop_is_still_sent_when_a_set_point_is_lost_after_its_first_answer() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(step(), id(1).into()).unwrap();
     sent(&mut master, ms(0));
@@ -485,7 +485,7 @@ fn a_stop_goes_on_though_a_set_point_is_lost_after_its_first_answer() {
     }
     assert!(
         stops > 0,
-        "its own stop was never sent, and nobody is told: it waits since {at:?} for ever"
+        "its own stop was never sent, and nothing is reported: it waits since {at:?} for ever"
     );
 }
 
@@ -501,7 +501,7 @@ fn moved_and_read() -> Master<2> {
 }
 
 #[test]
-fn that_a_motor_answers_something_else_does_not_say_that_a_move_of_all_has_come() {
+fn answer_to_a_read_does_not_show_that_a_move_to_all_has_arrived() {
     let mut master = moved_and_read();
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [to(1)]);
@@ -516,7 +516,7 @@ fn that_a_motor_answers_something_else_does_not_say_that_a_move_of_all_has_come(
 /// waits until no such answer is pending. Its answer is the first that counts, and shows that what is in a mailbox
 /// leaves it now.
 #[test]
-fn a_stop_that_has_waited_for_what_is_owed_is_answered_twice_like_any_behind_a_move_of_all() {
+fn stop_after_a_move_to_all_and_a_lost_shutdown_takes_three_answers() {
     let mut master = moved_and_read();
     let _lost = master.request_with(id(1), Shutdown, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 1);
