@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_frames_only_what_is_more_than_was_sent_is_a_reply() {
+    fn equal_frame_is_a_reply_only_beyond_the_number_sent() {
         let mut filter = EchoFilter::new(true);
         let stop = frame(Stop);
         filter.sent(stop, ms(0));
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_makes_way_also_where_all_are_of_one_time() {
+    fn oldest_frame_is_forgotten_first_though_all_times_are_equal() {
         let mut filter = EchoFilter::new(true);
         let shutdown = frame(Shutdown);
         filter.found_empty(ms(0));
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn of_more_than_are_remembered_no_acknowledgement_counts_until_their_echoes_must_have_come() {
+    fn no_acknowledgement_counts_while_a_forgotten_frame_may_come_back() {
         let mut filter = EchoFilter::new(true);
         filter.found_empty(ms(0));
         (0..9).for_each(|_| filter.sent(frame(Stop), ms(1)));
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_sendings_the_first_has_come_back() {
+    fn echo_of_equal_frames_is_that_of_the_first() {
         let mut filter = EchoFilter::new(true);
         filter.found_empty(ms(0));
         [0, 60].into_iter().for_each(|at| filter.sent(frame(Stop), ms(at)));
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_voltage_a_date_and_a_name_are_never_all_zero() {
+    fn status_date_and_model_reads_that_come_back_twice_show_an_echo() {
         for command in [frame(ReadStatus1), frame(ReadVersionDate), frame(ReadModel)] {
             let mut filter = EchoFilter::new(false);
             for is_found in [false, true] {
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_was_lost_is_not_waited_for_for_ever() {
+    fn lost_echo_is_no_longer_expected_after_100_ms() {
         let mut filter = EchoFilter::new(true);
         filter.sent(frame(Stop), ms(0));
         [1, 60, 101].into_iter().for_each(|at| filter.found_empty(ms(at)));
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_nobody_looked_for_is_one_however_late() {
+    fn echo_is_recognised_after_a_halt_of_the_program() {
         let mut filter = EchoFilter::new(true);
         filter.found_empty(ms(0));
         filter.sent(frame(Stop), ms(0));
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_of_all_that_comes_back_shows_an_echo_before_any_stop_can_seem_confirmed() {
+    fn stop_to_all_that_comes_back_shows_an_echo_at_once() {
         let mut filter = EchoFilter::new(false);
         let to_all = Frame { address: Target::All, ..frame(Stop) };
         filter.sent(to_all, ms(0));
@@ -400,7 +400,7 @@ mod tests {
         assert!(filter.is_echo(&bus_id) && !filter.is_echoing());
     }
 
-    /// What shows an echo is sent to this motor, and answered; before that it comes back, or does not.
+    /// A read that shows an echo is sent to this motor, and answered; before that it comes back, or does not.
     fn exchange(filter: &mut EchoFilter, motor: u8, echoes: bool) {
         let address = MotorId::new(motor).unwrap().into();
         let command = Frame { address, ..frame(ReadStatus1) };
@@ -409,7 +409,7 @@ mod tests {
         assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..command }), "that is its answer");
     }
 
-    /// Whether what shows an echo goes before a stop.
+    /// Whether a read that shows an echo goes before a stop.
     fn asks(filter: &EchoFilter) -> bool {
         filter.asks_before(&frame(Stop), false).is_some()
     }
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_an_echo_is_one_until_four_answers_came_without_theirs() {
+    fn acknowledgement_counts_only_after_four_answers_without_echo() {
         let mut filter = EchoFilter::new(false);
         assert!(asks(&filter));
         // Once, if nobody answers.
@@ -446,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn one_answer_shows_once_and_nobody_elses_shows_anything() {
+    fn each_read_counts_as_answered_without_echo_once_at_most() {
         let mut filter = EchoFilter::new(false);
         filter.sent(frame(ReadStatus1), ms(1));
         let other = Frame { address: MotorId::new(2).unwrap().into(), ..frame(ReadStatus1) };
@@ -468,7 +468,7 @@ mod tests {
 
     /// Reads of motor 1 go without their echo, and what another motor or another command answers comes between.
     #[test]
-    fn however_many_answers_to_something_else_show_nothing() {
+    fn answers_to_other_reads_do_not_show_a_missing_echo() {
         let read = frame(ReadStatus1);
         let of_other = Frame { address: MotorId::new(2).unwrap().into(), data: [0x9A; 8] };
         for answer in [of_other, Frame { data: [0xB2; 8], ..read }] {
@@ -482,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_drive_answers_shows_an_echo_and_nothing_goes_before_it() {
+    fn reset_and_model_read_show_an_echo_and_wait_for_no_other_read() {
         for command in [frame(Reset), frame(ReadModel)] {
             let mut filter = EchoFilter::new(false);
             assert_eq!(filter.asks_before(&command, false), None);
@@ -495,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_come_back_leaves_its_place_to_the_next() {
+    fn frame_that_came_back_leaves_its_place_to_the_next() {
         let mut filter = EchoFilter::new(true);
         filter.sent(frame(Shutdown), ms(0));
         (0..7).for_each(|_| filter.sent(frame(ReadStatus1), ms(1)));
@@ -506,7 +506,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_quiet_adapter_an_acknowledgement_counts_however_much_was_sent_since() {
+    fn without_echo_an_acknowledgement_counts_however_much_was_sent_since() {
         let mut filter = EchoFilter::new(false);
         (1..=4).for_each(|motor| exchange(&mut filter, motor, false));
         filter.sent(frame(Stop), ms(1));
@@ -515,7 +515,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_has_lost_its_master_hands_one_command_back_and_no_more() {
+    fn one_command_sent_back_after_a_lost_master_shows_no_echo() {
         let mut filter = EchoFilter::new(false);
         let lost = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
         assert!(!filter.is_echo(&Frame { data: lost, ..frame(ReadStatus1) }));
@@ -527,7 +527,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_may_be_lost_is_not_missed() {
+    fn possibly_lost_echo_does_not_count_as_missing() {
         let mut filter = EchoFilter::new(false);
         for _ in 0..4 {
             filter.sent(frame(ReadStatus1), ms(1));
@@ -538,7 +538,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_nobody_configured_is_found() {
+    fn unconfigured_echo_is_found() {
         let mut filter = EchoFilter::new(false);
         // Once may be a drive that lost its master and has ignored the command.
         for is_found in [false, true] {
@@ -568,7 +568,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_was_found_is_none_after_four_answers_in_a_row_without_it() {
+    fn found_echo_ends_after_four_answers_in_a_row_without_it() {
         let mut filter = EchoFilter::new(false);
         (1..=2).for_each(|_| exchange(&mut filter, 1, true));
         for echoes in [false, false, false, true, false, false, false] {
@@ -578,15 +578,15 @@ mod tests {
         exchange(&mut filter, 2, false);
         assert!(believes(&mut filter));
         // Of one that was configured nothing is believed but that.
-        let mut told = EchoFilter::new(true);
-        exchange(&mut told, 1, true);
-        (0..9).for_each(|_| exchange(&mut told, 1, false));
-        assert!(!believes(&mut told));
+        let mut configured = EchoFilter::new(true);
+        exchange(&mut configured, 1, true);
+        (0..9).for_each(|_| exchange(&mut configured, 1, false));
+        assert!(!believes(&mut configured));
     }
 
-    /// It would hand back the next command only: an echo that comes after an answer is one, and shows it.
+    /// It sends back its next command only: an echo that comes after an answer is one, and shows it.
     #[test]
-    fn who_has_answered_since_it_lost_its_master_hides_no_echo() {
+    fn drive_that_answered_since_it_lost_its_master_hides_no_echo() {
         let mut filter = EchoFilter::new(false);
         let read = frame(ReadStatus1);
         let status = Frame { data: [0x9A, 20, 20, 1, 0xE0, 1, 0, 0], ..read };

@@ -502,7 +502,7 @@ mod tests {
     use crate::units::{CoarseAngle, Current, Temperature};
 
     #[test]
-    fn a_way_is_given_three_times_what_it_takes_and_five_seconds() {
+    fn move_gets_three_times_its_usual_time_and_five_seconds() {
         let time = |from, to, dps| {
             usual_time(Angle::from_raw(from), Angle::from_raw(to), MaxSpeed::from_raw(dps))
                 .as_millis()
@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_that_is_lost_between_two_looks_is_a_jump() {
+    fn turn_lost_between_two_looks_is_a_jump() {
         let look = |ms, degrees: i32, dps| Look {
             at: Instant::from_millis(ms),
             angle: Angle::from_raw(100 * degrees),
@@ -531,7 +531,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_no_nearer_by_more_than_the_tolerance_has_stalled() {
+    fn move_that_comes_no_nearer_than_its_tolerance_has_stalled() {
         let at = Instant::from_millis;
         let after = Duration::from_millis(100);
         let mut nearest = Nearest { distance: u32::MAX, since: at(0) };
@@ -569,7 +569,7 @@ mod tests {
     }
 
     #[test]
-    fn who_presses_stands_nearer_than_it_began() {
+    fn only_a_motor_nearer_than_at_its_start_presses() {
         assert!(pressing(20, 1_000, 1_000));
         assert!(!pressing(0, 1_000, 1_000), "it has not moved");
         assert!(!pressing(-20, 1_000, 1_000), "it was driven away, and stands");
@@ -577,7 +577,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_for_a_moment_does_not_press() {
+    fn motor_that_stands_for_a_moment_does_not_press() {
         assert!(!pressing(20, 100, 1_000), "it swings, or slips");
         assert!(pressing(20, 101, 1_000));
         assert!(!pressing(20, 0, 0), "it turns");
@@ -585,7 +585,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_tolerance_what_stands_still_has_stalled_too() {
+    fn motor_that_stands_still_has_stalled_with_a_zero_tolerance() {
         let at = Instant::from_millis;
         let after = Duration::from_millis(100);
         let mut nearest = Nearest { distance: u32::MAX, since: at(0) };

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_flickers_by_a_step_stands() {
+    fn speed_of_2_dps_or_less_is_standing() {
         for (raw, is_turning) in [(0, false), (2, false), (-2, false), (3, true), (i16::MIN, true)]
         {
             assert_eq!(turns(CoarseSpeed::from_raw(raw)), is_turning, "{raw}");

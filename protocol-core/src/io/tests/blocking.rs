@@ -77,8 +77,8 @@ fn a_bus_that_takes_nothing_for_20_ms_is_down() {
     assert_eq!(run(&mut arm, &clock, 20_000), [], "the bus may be merely busy");
     let events = run(&mut arm, &clock, 1_000);
     assert!(events.contains(&Event::SetPointDropped { motor: id(1) }), "{events:?}");
-    let told = events.iter().find_map(|event| read.outcome(event));
-    assert_eq!(told, Some(Err(Failure::BusDown)), "nobody waits for ever");
+    let outcome = events.iter().find_map(|event| read.outcome(event));
+    assert_eq!(outcome, Some(Err(Failure::BusDown)), "nobody waits for ever");
 }
 
 #[test]
@@ -87,11 +87,13 @@ fn a_bus_that_has_taken_something_meanwhile_is_not_down() {
     bus.state().full_until = 15_000;
     let first = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
     let events = run(&mut arm, &clock, 18_000);
-    assert!(events.iter().any(|event| first.outcome(event).is_some_and(|told| told.is_ok())));
+    assert!(events.iter().any(|event| first.outcome(event).is_some_and(|outcome| outcome.is_ok())));
     bus.state().full_until = 30_000;
     let second = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
     let events = run(&mut arm, &clock, 15_000);
-    assert!(events.iter().any(|event| second.outcome(event).is_some_and(|told| told.is_ok())));
+    assert!(
+        events.iter().any(|event| second.outcome(event).is_some_and(|outcome| outcome.is_ok()))
+    );
 }
 
 #[test]
@@ -189,7 +191,7 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
 }
 
 #[test]
-fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
+fn frame_taken_by_a_serial_port_counts_as_sent_though_its_flush_fails() {
     let (port, clock, mut arm) = used_serial();
     port.state().flush_fails = true;
     assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
@@ -216,7 +218,7 @@ fn a_command_without_reply_is_over_once_it_has_left() {
 }
 
 #[test]
-fn a_question_waits_for_the_one_that_an_error_of_the_bus_left_behind() {
+fn request_waits_for_one_that_a_bus_error_left_in_flight() {
     let (bus, _, mut arm) = can();
     bus.state().receive_fails = true;
     assert_eq!(arm.ask(id(1), ReadMultiTurnAngle), Err(CallError::Bus(Broken)));
@@ -226,9 +228,9 @@ fn a_question_waits_for_the_one_that_an_error_of_the_bus_left_behind() {
     }
 }
 
-/// The request that keeps the motor busy is waited for, for 5 s.
+/// The request that keeps the motor busy may be answered for 5 s.
 #[test]
-fn a_question_waits_for_its_turn_for_two_seconds_and_no_longer() {
+fn request_waits_for_its_turn_for_two_seconds() {
     for is_together in [false, true] {
         let (_, clock, mut arm) = can();
         let patience = Patience { reply_timeout: Duration::from_secs(5), attempts: 1 };
@@ -246,13 +248,14 @@ fn a_question_waits_for_its_turn_for_two_seconds_and_no_longer() {
 }
 
 #[test]
-fn a_scan_tells_only_of_those_whom_it_asks() {
+fn scan_reports_only_the_ids_it_asks() {
     let (_, _, mut arm) = can();
     let _earlier = arm.master().request(id(3), ReadMultiTurnAngle).unwrap();
-    let mut told = Vec::new();
-    let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
+    let mut reported = Vec::new();
+    let found =
+        bring_up::scan(&mut arm, id(1).into(), |motor, there| reported.push((motor, there)));
     assert!(found.unwrap().contains(id(1)));
-    assert_eq!(told, [(id(1), true)]);
+    assert_eq!(reported, [(id(1), true)]);
 }
 
 #[test]
@@ -264,13 +267,13 @@ fn a_scan_finds_none_but_its_candidates() {
 }
 
 #[test]
-fn a_motor_that_answers_once_shares_its_id_with_nobody() {
+fn id_of_a_motor_that_answers_once_is_not_shared() {
     let (_, _, mut arm) = can();
     assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false));
 }
 
 #[test]
-fn a_stop_that_nobody_confirms_ends_when_it_was_sent_often_enough() {
+fn unconfirmed_stop_call_returns_after_15_attempts() {
     let (_, clock, mut arm) = can();
     assert!(!arm.stop(id(9), StopKind::Hold));
     // 15 times 20.4 ms.
@@ -278,7 +281,7 @@ fn a_stop_that_nobody_confirms_ends_when_it_was_sent_often_enough() {
 }
 
 #[test]
-fn a_clock_that_is_lent_idles_too() {
+fn borrowed_clock_idles_too() {
     fn idle(clock: impl Clock) {
         clock.idle(clock.now() + crate::time::Duration::from_micros(20));
     }
@@ -304,7 +307,7 @@ fn the_echo_of_a_stop_confirms_nothing_however_late_it_is_read() {
 }
 
 #[test]
-fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of() {
+fn first_stop_on_an_adapter_is_not_confirmed_by_an_unconfigured_echo() {
     for echoes in [false, true] {
         let (port, _, mut arm) = serial();
         port.state().echoes = echoes;
@@ -323,7 +326,7 @@ fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of(
 }
 
 #[test]
-fn an_echo_that_was_lost_for_a_while_is_asked_for_again_before_it_can_confirm_a_stop() {
+fn echo_that_was_lost_for_a_while_confirms_no_stop() {
     let (port, clock, mut arm) = serial();
     for _ in 0..3 {
         port.state().echoes = true;
@@ -353,7 +356,7 @@ fn no_echo_confirms_a_stop_after_a_port_has_failed() {
 }
 
 #[test]
-fn another_master_that_asks_whether_its_adapter_echoes_shows_nothing_of_this_one() {
+fn another_masters_status_read_is_not_taken_for_an_echo() {
     let (port, _, mut arm) = serial();
     let other: [u8; 13] = [0x3E, 33, 8, 0x9A, 0, 0, 0, 0, 0, 0, 0, 0x73, 0x70];
     port.hear(&other);
@@ -361,7 +364,7 @@ fn another_master_that_asks_whether_its_adapter_echoes_shows_nothing_of_this_one
 }
 
 #[test]
-fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
+fn stop_is_sent_while_each_receive_fails() {
     let (bus, _, mut arm) = can();
     bus.state().receive_fails = true;
     let read = arm.master().request(id(3), ReadMultiTurnAngle);
@@ -380,11 +383,11 @@ fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
     assert!(port.written().len() > 13, "and again");
 }
 
-/// A clock that only notes until when it was told to idle.
+/// A clock that only notes until when it was to idle.
 #[derive(Default)]
-struct Told(Cell<Option<Instant>>);
+struct NotesIdle(Cell<Option<Instant>>);
 
-impl Clock for Told {
+impl Clock for NotesIdle {
     fn now(&self) -> Instant {
         Instant::ZERO
     }
@@ -395,8 +398,8 @@ impl Clock for Told {
 }
 
 #[test]
-fn what_the_controller_refuses_is_soon_offered_again() {
-    let clock = Told::default();
+fn refused_frame_is_offered_again_within_a_millisecond() {
+    let clock = NotesIdle::default();
     let bus = TestCan::new(&TestClock::default());
     bus.state().full_until = u64::MAX;
     let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), &clock, Config::CAN);
@@ -412,9 +415,9 @@ fn what_the_controller_refuses_is_soon_offered_again() {
 }
 
 #[test]
-fn a_loop_idles_until_it_is_told_or_something_is_due() {
+fn loop_idles_until_the_given_time_or_the_next_deadline() {
     let far = Instant::from_millis(1_000);
-    let clock = Told::default();
+    let clock = NotesIdle::default();
     let mut of_can =
         CanMaster::<_, _, 4>::new(TestCan::new(&TestClock::default()), &clock, Config::CAN);
     idles(&mut of_can, &clock, far);
@@ -448,7 +451,7 @@ fn a_call_that_waits_looks_at_the_bus_every_10_ms_and_ends_in_time() {
     assert_eq!(clock.micros(), 995_000);
 }
 
-fn idles(arm: &mut impl Runner<4>, clock: &Told, far: Instant) {
+fn idles(arm: &mut impl Runner<4>, clock: &NotesIdle, far: Instant) {
     arm.idle(far);
     assert_eq!(clock.0.get(), Some(far), "nothing is due");
     let _read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
@@ -458,7 +461,7 @@ fn idles(arm: &mut impl Runner<4>, clock: &Told, far: Instant) {
 }
 
 #[test]
-fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
+fn scan_waits_two_seconds_for_a_stop_that_a_dead_bus_keeps() {
     let (bus, clock, mut arm) = can();
     bus.state().full_until = u64::MAX;
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -468,19 +471,19 @@ fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
 }
 
 #[test]
-fn what_became_of_an_earlier_set_point_is_not_told_of_the_next() {
+fn drop_of_an_earlier_set_point_is_not_reported_for_the_next() {
     let (bus, _, mut arm) = can();
     bus.state().transmit_fails = true;
     arm.set_point(id(1), torque()).unwrap();
     assert_eq!(arm.poll(), Err(Broken));
-    // It was dropped, which nobody was told yet.
+    // It was dropped, which was not reported yet.
     bus.state().transmit_fails = false;
     assert!(arm.set_point_and_wait(id(1), torque()).is_ok());
     assert_eq!(bus.sent().len(), 1);
 }
 
 #[test]
-fn a_set_point_that_was_dropped_is_not_answered_by_the_feedback_of_the_one_before() {
+fn dropped_set_point_is_not_answered_by_the_feedback_of_an_earlier_one() {
     let clock = TestClock::default();
     let bus = TestCan::new(&clock);
     // At this rate an answer is waited for up to 72 ms, and a set-point lives for 50 ms.
@@ -495,7 +498,7 @@ fn a_set_point_that_was_dropped_is_not_answered_by_the_feedback_of_the_one_befor
 }
 
 #[test]
-fn whom_a_stop_has_no_place_for_has_not_confirmed_it() {
+fn motor_without_a_place_is_returned_as_unconfirmed() {
     let (_, clock, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     let both = [1, 2].map(id).into_iter().collect();
     assert_eq!(arm.stop_all(StopKind::Hold, both), id(2).into());
@@ -520,14 +523,14 @@ impl embedded_can::nb::Can for FailsOnce {
 }
 
 #[test]
-fn what_was_sent_before_an_error_of_the_bus_is_not_told_as_dropped() {
+fn moves_sent_before_a_bus_error_are_not_reported_as_dropped() {
     let clock = TestClock::default();
     let bus = TestCan::new(&clock);
     let mut arm = CanMaster::<_, _, 4>::new(FailsOnce(bus.clone(), 0), clock, Config::CAN);
-    let told = arm.ask_together([1, 2, 3].map(|motor| (id(motor), step())));
+    let outcomes = arm.ask_together([1, 2, 3].map(|motor| (id(motor), step())));
     assert_eq!(bus.sent().len(), 3);
-    assert_eq!(told[0], Err(CallError::Bus(Broken)));
-    assert!(told[1].is_ok() && told[2].is_ok(), "{told:?}");
+    assert_eq!(outcomes[0], Err(CallError::Bus(Broken)));
+    assert!(outcomes[1].is_ok() && outcomes[2].is_ok(), "{outcomes:?}");
 }
 
 /// A bus on which answers to moves are lost.
@@ -548,7 +551,7 @@ impl embedded_can::nb::Can for WithoutAnswersToMoves {
 }
 
 #[test]
-fn a_relative_move_to_somewhere_is_sent_once() {
+fn unanswered_relative_move_is_sent_once() {
     let (bus, _, mut arm) = on_can(|bus, clock, config| {
         CanMaster::<_, _, 4>::new(WithoutAnswersToMoves(bus), clock, config)
     });
@@ -560,7 +563,7 @@ fn a_relative_move_to_somewhere_is_sent_once() {
 }
 
 #[test]
-fn what_was_read_behind_a_frame_that_tells_nothing_is_not_lost() {
+fn frame_read_after_one_without_an_event_is_not_lost() {
     let (port, clock, mut arm) = used_serial();
     let nothing = Frame { address: Target::All, data: Stop.encode() };
     let report = Frame { address: id(1).into(), data: [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0] };

@@ -79,7 +79,7 @@ fn times_sent(bus: &TestCan, data: Data) -> usize {
 }
 
 #[test]
-fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
+fn outcome_of_another_motors_set_point_is_not_that_of_this_one() {
     let master = Master::<4>::new(Config::CAN);
     let outcome = |event| outcome_of_set_point::<Torque, 4>(&master, id(1), &event);
     let data = [0xA1, 50, 100, 0, 0, 0, 7, 0];
@@ -89,14 +89,14 @@ fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
         let is_mine = motor == id(1);
         let why = |failure| is_mine.then_some(Err(failure));
         assert_eq!(outcome(Event::SetPointUnanswered { motor }), why(Failure::NoReply));
-        let told = outcome(Event::Feedback { motor, reply });
-        assert_eq!(told.is_some_and(|told| told.is_ok()), is_mine);
+        let answered = outcome(Event::Feedback { motor, reply });
+        assert_eq!(answered.is_some_and(|answer| answer.is_ok()), is_mine);
     }
 }
 
-/// It was told of an earlier one, which nobody has asked for yet.
+/// The event of the earlier loss was not polled before.
 #[test]
-fn that_an_earlier_set_point_was_lost_says_nothing_of_the_one_in_flight() {
+fn loss_of_an_earlier_set_point_is_not_that_of_the_one_in_flight() {
     let mut master = Master::<4>::new(Config::CAN);
     for now in [0, 21].map(Instant::from_millis) {
         master.handle_timeout(now);
@@ -110,20 +110,20 @@ fn that_an_earlier_set_point_was_lost_says_nothing_of_the_one_in_flight() {
 }
 
 #[test]
-fn who_has_no_answer_is_named_once() {
+fn error_texts_name_the_motor_once() {
     let error = CallError::<Broken>::Failed { motor: id(3), failure: Failure::Stopped };
     assert_eq!(error.to_string(), "motor 3: the motors were stopped first");
     assert_eq!(BringUpError::Call(error).to_string(), error.to_string());
     let why = MoveFailure::Call(error);
     assert_eq!(why.to_string(), error.to_string());
-    let told = NotArrived { motor: id(3), why, is_stopped: true }.to_string();
+    let text = NotArrived { motor: id(3), why, is_stopped: true }.to_string();
     let expected = "motor 3 has not arrived: the motors were stopped first; it has confirmed the stop, \
                     which stays in force until it is lifted";
-    assert_eq!(told, expected);
+    assert_eq!(text, expected);
 }
 
 #[test]
-fn whose_command_is_refused_is_named() {
+fn refused_calls_name_their_motor() {
     let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     arm.master().stop(id(1), StopKind::Hold).unwrap();
     let refused =
@@ -131,14 +131,14 @@ fn whose_command_is_refused_is_named() {
     for refused in refused {
         assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)));
     }
-    let told = arm.ask(id(2), ReadMultiTurnAngle).unwrap_err();
+    let error = arm.ask(id(2), ReadMultiTurnAngle).unwrap_err();
     let why = RequestError::TooManyMotors { capacity: 1 };
-    assert_eq!(told, CallError::refused(id(2))(why));
-    assert_eq!(told.to_string(), std::format!("motor 2: {why}"));
+    assert_eq!(error, CallError::refused(id(2))(why));
+    assert_eq!(error.to_string(), std::format!("motor 2: {why}"));
 }
 
 #[test]
-fn of_four_that_are_asked_together_those_without_an_answer_are_named() {
+fn ask_together_names_each_motor_without_an_answer() {
     let (bus, mut arm) = arm();
     let mut ask = || {
         let asked = [2, 9, 3, 1].map(|motor| (id(motor), ReadMultiTurnAngle));
@@ -151,7 +151,7 @@ fn of_four_that_are_asked_together_those_without_an_answer_are_named() {
 }
 
 #[test]
-fn a_scan_without_a_free_place_says_so() {
+fn scan_without_a_free_place_is_refused() {
     let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     let found = bring_up::scan(&mut arm, id(2).into(), |_, _| {});
@@ -165,19 +165,19 @@ fn a_scan_without_a_free_place_says_so() {
 }
 
 #[test]
-fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
+fn scan_ended_by_a_bus_error_leaves_no_place_to_absent_motors() {
     let nobody: MotorSet = (9..=20).map(id).collect();
     for fails_in_flight in [false, true] {
         let (bus, mut arm) = arm();
         if fails_in_flight {
             // All places are taken by what a scan has sent when the driver fails.
-            let mut told = 0;
+            let mut reported = 0;
             let scan = bring_up::scan(&mut arm, nobody, |_, _| {
-                told += 1;
+                reported += 1;
                 bus.state().receive_fails = true;
             });
             assert_eq!(scan, Err(CallError::Bus(Broken)));
-            assert_eq!(told, 1, "of the others nobody knows");
+            assert_eq!(reported, 1, "of the others nobody knows");
         } else {
             bus.state().transmit_fails = true;
             let scan = bring_up::scan(&mut arm, nobody, |_, _| panic!("nobody was asked"));
@@ -193,7 +193,7 @@ fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
 
 /// Motor 9 is asked, and may take eight seconds.
 #[test]
-fn a_scan_that_the_bus_ends_waits_for_nobody_longer_than_for_a_turn() {
+fn scan_ended_by_a_bus_error_waits_no_longer_than_for_a_turn() {
     let (bus, _, mut arm) = on_can(|bus, clock, config| {
         let reply_timeout = LONGEST_TURN.times(4);
         CanMaster::<_, _, 4>::new(bus, clock, Config { reply_timeout, ..config })
@@ -208,7 +208,7 @@ fn a_scan_that_the_bus_ends_waits_for_nobody_longer_than_for_a_turn() {
 
 /// The question to another motor fails with the line, too.
 #[test]
-fn a_scan_ends_when_the_line_has_failed_for_a_moment() {
+fn scan_ends_after_a_short_failure_of_the_line() {
     for fails_at in (0..20_000).step_by(1_000) {
         let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
         for motor in [1, 2, 3].map(id) {
@@ -227,9 +227,9 @@ fn a_scan_ends_when_the_line_has_failed_for_a_moment() {
     }
 }
 
-/// So that a stop of all and a guard reach them, if they turn since somebody else moved them.
+/// So a stop of all and a guard reach them, if they turn because somebody else moved them.
 #[test]
-fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
+fn motors_found_by_a_scan_keep_places_if_there_is_one_for_each() {
     let there: MotorSet = (1..=3).map(id).collect();
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 3>::new);
     assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
@@ -260,16 +260,16 @@ fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
 }
 
 #[test]
-fn a_scan_finds_whoever_tells_that_it_has_lost_its_master() {
+fn scan_finds_a_motor_that_reports_a_lost_master() {
     let (bus, mut arm) = arm();
     let data = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
     bus.hear(&Packet { channel: Channel::Reply(id(9)), data });
     assert_eq!(bring_up::scan(&mut arm, id(9).into(), |_, _| {}), Ok(id(9).into()));
 }
 
-/// It answers nothing meanwhile, and this master has not told it to report.
+/// The motor answers nothing meanwhile, and this master has switched none of its reports on.
 #[test]
-fn a_scan_finds_whoever_says_what_nobody_waits_for() {
+fn scan_finds_a_motor_by_an_unexpected_frame() {
     let (bus, mut arm) = arm();
     let data = [0x9C, 25, 0, 0, 0, 0, 0, 0];
     bus.hear_at(5_000, &Packet { channel: Channel::Reply(id(9)), data });
@@ -277,23 +277,24 @@ fn a_scan_finds_whoever_says_what_nobody_waits_for() {
 }
 
 #[test]
-fn a_scan_finds_whoever_reports_its_status_by_itself_and_tells_of_it_once() {
+fn scan_finds_a_motor_by_its_status_reports_and_reports_it_once() {
     let (bus, mut arm) = arm();
     let command = ReportedCommand::of(Opcode::ReadStatus1).unwrap();
     let interval = ReportInterval::from_raw(1);
     arm.ask(id(1), ActiveReply { command, enable: Switch::On, interval }).unwrap();
     // What it says to that, and nothing more.
     arm.run_until(Instant::from_millis(10), |_| {}).unwrap();
-    let mut told = Vec::new();
-    let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
-    assert_eq!((found, told), (Ok(id(1).into()), Vec::from([(id(1), true)])));
+    let mut reported = Vec::new();
+    let found =
+        bring_up::scan(&mut arm, id(1).into(), |motor, there| reported.push((motor, there)));
+    assert_eq!((found, reported), (Ok(id(1).into()), Vec::from([(id(1), true)])));
     assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
     assert!(!is_sent(&bus, ReadStatus1.encode()), "nobody asks what is reported");
 }
 
-/// As long as a question waits for its turn, and longer.
+/// The time-out is twice as long as a request waits for its turn.
 #[test]
-fn a_patience_of_more_than_the_longest_turn_is_kept() {
+fn patience_longer_than_the_longest_turn_is_kept() {
     let (bus, mut arm) = arm();
     let patience = Patience { reply_timeout: LONGEST_TURN + LONGEST_TURN, attempts: 1 };
     let data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
@@ -314,9 +315,9 @@ fn a_motor_is_there_or_is_not() {
     assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
 }
 
-/// Each restart lets a load go.
+/// Each further restart would drop a load.
 #[test]
-fn who_is_not_there_afterwards_or_is_but_as_its_old_id_was_told_once_to_restart() {
+fn restart_that_the_new_id_does_not_answer_is_sent_once() {
     for motor in [1, 9] {
         let (bus, mut arm) = arm();
         let gone = bring_up::restart(&mut arm, id(motor), id(9));
@@ -327,7 +328,7 @@ fn who_is_not_there_afterwards_or_is_but_as_its_old_id_was_told_once_to_restart(
 }
 
 #[test]
-fn a_zero_that_reads_otherwise_is_not_kept() {
+fn zero_is_not_kept_if_the_angle_reads_otherwise() {
     // The offset is the one that was stored; the angle is 360 degrees.
     let (bus, mut arm) = arm();
     let zero = bring_up::zero_here(&mut arm, id(1));
@@ -396,7 +397,7 @@ impl nb::Can for Ignores {
 }
 
 #[test]
-fn a_motor_that_answers_and_does_nothing_is_there() {
+fn motor_that_answers_and_executes_nothing_is_found() {
     let (_, _, mut arm): (_, _, CanMaster<_, _, 4>) =
         on_can(|bus, clock, config| CanMaster::new(Ignores(bus, None), clock, config));
     let asked = arm.ask(id(1), ReadStatus1);
@@ -405,10 +406,10 @@ fn a_motor_that_answers_and_does_nothing_is_there() {
     assert_eq!(bring_up::scan(&mut arm, id(1).into(), |_, _| {}), Ok(id(1).into()));
 }
 
-/// It had run for 3 s, and says 3 s again 2 s after it was told to restart: had it not heard that it would be 5 s. Its
-/// clock need not agree with ours.
+/// The drive had run for 3 s, and reports 3 s again 2 s after the reset: without a restart it would be 5 s. Its clock
+/// need not agree with ours.
 #[test]
-fn a_drive_of_which_the_clock_is_fast_has_restarted_where_it_has_run_for_less_than_it_would_have() {
+fn restart_of_a_drive_with_a_fast_clock_is_recognised() {
     let (bus, mut arm) = saying([[0xB1, 0, 0, 0, 0xB8, 0x0B, 0, 0]]);
     assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
     let resets = times_sent(&bus, Reset.encode());
@@ -416,7 +417,7 @@ fn a_drive_of_which_the_clock_is_fast_has_restarted_where_it_has_run_for_less_th
 }
 
 #[test]
-fn a_zero_is_kept_where_the_angle_is_0_and_the_offset_the_one_that_was_stored() {
+fn zero_is_kept_if_the_angle_is_0_and_the_offset_the_stored_one() {
     let angle = [0x92, 0, 0, 0, 0, 0, 0, 0];
     let (_, mut arm) = saying([angle]);
     assert!(bring_up::zero_here(&mut arm, id(1)).is_ok());
@@ -426,15 +427,15 @@ fn a_zero_is_kept_where_the_angle_is_0_and_the_offset_the_one_that_was_stored() 
 }
 
 #[test]
-fn a_zero_whose_acknowledgement_is_lost_may_be_kept_and_one_that_was_not_sent_is_not() {
+fn zero_may_be_written_only_after_an_answered_shutdown() {
     let (_, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x64));
     let why = CallError::Failed { motor: id(1), failure: Failure::NoReply };
-    let told = bring_up::zero_here(&mut arm, id(1));
-    assert_eq!(told, Err(BringUpError::MayBeWritten { motor: id(1), why }));
+    let outcome = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(outcome, Err(BringUpError::MayBeWritten { motor: id(1), why }));
     // Without an answer to the shutdown before it nothing is written.
     let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x80));
-    let told = bring_up::zero_here(&mut arm, id(1));
-    assert_eq!(told, Err(BringUpError::Call(why)));
+    let outcome = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(outcome, Err(BringUpError::Call(why)));
     assert!(bus.sent().iter().all(|data| data[0] != 0x64));
 }
 
@@ -449,7 +450,7 @@ fn a_motor_with_an_error_is_not_moved() {
 }
 
 #[test]
-fn who_was_known_keeps_its_place_though_it_is_not_there() {
+fn known_motor_keeps_its_place_though_it_is_absent() {
     let (_, mut arm) = arm();
     arm.ask(id(9), ReadMultiTurnAngle).unwrap_err();
     assert_eq!(bring_up::is_there(&mut arm, id(9)), Ok(false));
@@ -479,7 +480,7 @@ fn two_motors_that_differ_in_any_one_answer_share_an_id() {
 }
 
 #[test]
-fn what_others_say_and_errors_that_are_reported_are_no_second_answers() {
+fn frames_of_others_and_error_reports_are_no_second_answers() {
     let status = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
     let angle = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
     let feedback = [0x9C, 50, 100, 0, 0, 0, 45, 0];
@@ -496,7 +497,7 @@ fn what_others_say_and_errors_that_are_reported_are_no_second_answers() {
 }
 
 #[test]
-fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
+fn id_change_that_no_motor_took_restarts_none() {
     // The answers of these drives to function 5 are none.
     let (bus, mut arm) = arm();
     let changed = bring_up::change_id(&mut arm, id(1), id(5));
@@ -505,7 +506,7 @@ fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
     assert!(is_sent(&bus, Shutdown.encode()), "some keep nothing without that");
     assert!(!is_sent(&bus, Reset.encode()));
 
-    // Alone on the bus it is told by 0x79, too.
+    // Alone on the bus it is given its id by 0x79, too.
     let (bus, mut arm) = hearing(|packet| usize::from(packet.channel == Channel::Reply(id(1))));
     let changed = bring_up::change_id(&mut arm, id(1), id(5));
     let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: true };
@@ -595,9 +596,9 @@ impl nb::Can for Renames {
     }
 }
 
-/// It is not alone on the bus, so that nothing else could give it its id.
+/// The motor is not alone on the bus, so that nothing but function 5 could give it its id.
 #[test]
-fn who_answers_under_its_new_id_has_taken_it_without_a_word() {
+fn motor_that_answers_under_its_new_id_has_taken_it() {
     let (bus, _, mut arm) =
         on_can(|bus, clock, config| CanMaster::<_, _, 4>::new(Renames(bus, false), clock, config));
     assert_eq!(bring_up::change_id(&mut arm, id(1), id(5)), Ok(()));
@@ -605,7 +606,7 @@ fn who_answers_under_its_new_id_has_taken_it_without_a_word() {
 }
 
 #[test]
-fn a_motor_that_turns_has_not_arrived() {
+fn motor_that_turns_at_its_target_and_runs_nothing_has_not_arrived() {
     // Motor 3 is at 360 degrees, turns at 500 dps and runs nothing, says every answer; it has run for a minute.
     let (bus, mut arm) = saying([[0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0]]);
     let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(36_000));
@@ -623,7 +624,7 @@ fn a_motor_that_turns_has_not_arrived() {
 
 /// The motor that runs nothing comes no nearer for a second, and has an error with one of its last answers.
 #[test]
-fn an_error_that_ends_a_move_is_why_it_has_not_arrived() {
+fn stalled_move_of_a_motor_with_an_error_fails_with_that_error() {
     // From its answer of this number to where it is on.
     for answer in 48..=53 {
         let mut answers = 0;
@@ -643,10 +644,10 @@ fn an_error_that_ends_a_move_is_why_it_has_not_arrived() {
     }
 }
 
-/// It turns at 500 dps, and its angle is 5,000 degrees further within 20 ms, when it has been on its way for a while: its
-/// turns were lost. Nobody has missed an answer, or asks how long it has run.
+/// The motor turns at 500 dps, and within 20 ms its angle is 5,000 degrees further: its turns were lost. No answer is
+/// missing, and its run time is not asked.
 #[test]
-fn a_jump_between_two_looks_at_a_move_is_a_restart() {
+fn angle_jump_between_two_looks_at_a_move_is_a_restart() {
     for jumps_at in [2, 3, 20] {
         let mut looks = 0;
         let (bus, mut arm) = says(|data| {
@@ -668,9 +669,9 @@ fn a_jump_between_two_looks_at_a_move_is_a_restart() {
     }
 }
 
-/// One that names a place may be obeyed twice. Nor does the drive say what it runs: that it runs nothing is not said, then.
+/// Such a move may be obeyed twice. The drive does not report what it runs, either: that is not taken for nothing.
 #[test]
-fn a_move_to_a_place_whose_answer_is_lost_is_sent_again() {
+fn unanswered_move_to_an_absolute_angle_is_sent_again() {
     let mut lost = 0;
     let (bus, mut arm) = hearing(|packet| {
         let is_lost = packet.data[0] == 0xA4 && lost < 2;
@@ -687,7 +688,7 @@ fn a_move_to_a_place_whose_answer_is_lost_is_sent_again() {
 
 /// The motor runs nothing, and the sixth look is the last. Its answers are that before the move and one with each look.
 #[test]
-fn a_move_whose_time_is_up_has_failed_by_an_error_or_by_what_the_drive_says_of_itself() {
+fn move_out_of_time_fails_with_the_error_or_mode_of_its_drive() {
     for (answer, is_fault) in [(8, true), (9, false)] {
         let mut answers = 0;
         let (_, mut arm) = says(|data| match data {
@@ -718,7 +719,7 @@ fn a_move_with_limited_force_ends_at_its_angle() {
 }
 
 #[test]
-fn a_move_that_may_be_without_a_limit_of_force_is_not_sent() {
+fn move_with_a_torque_limit_of_zero_is_not_sent() {
     let (bus, mut arm) = arm();
     let (max_torque, max_speed) = (MaxTorque::from_raw(0), MaxSpeed::from_raw(100));
     let grip = ForcePosition { max_torque, max_speed, angle: Angle::from_raw(0) };
@@ -730,7 +731,7 @@ fn a_move_that_may_be_without_a_limit_of_force_is_not_sent() {
 }
 
 #[test]
-fn a_guard_ends_with_those_who_have_not_confirmed() {
+fn finished_guard_returns_the_unconfirmed_motors() {
     let (_, mut arm) = arm();
     let mut bus = Guard::new(&mut arm, StopKind::Off);
     bus.ask(id(1), ReadMultiTurnAngle).unwrap();
@@ -761,7 +762,7 @@ impl nb::Can for OneMailbox {
 }
 
 #[test]
-fn what_the_controller_hands_back_is_sent_all_the_same() {
+fn frame_handed_back_by_the_controller_is_sent_again() {
     let (bus, _, mut arm) = on_can(|bus, clock, config| {
         CanMaster::<_, _, 4>::new(OneMailbox(bus, None, false), clock, config)
     });
@@ -772,22 +773,22 @@ fn what_the_controller_hands_back_is_sent_all_the_same() {
     assert_eq!(arm.master().motors(), [1, 2].map(id).into_iter().collect::<MotorSet>());
 }
 
-/// Three motors report by themselves, and the loop comes too late each time.
+/// Three motors report on their own, and the loop comes too late each time.
 #[test]
-fn a_call_that_is_late_sends_behind_all_that_has_come() {
+fn late_call_reports_all_received_frames_and_still_sends() {
     let data = [0x9C, 25, 0, 0, 0, 0, 0, 0];
     let report = |motor| Packet { channel: Channel::Reply(id(motor)), data };
 
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
     [2, 3, 4].into_iter().for_each(|motor| bus.hear(&report(motor)));
     arm.set_point(id(1), torque()).unwrap();
-    let mut told = 0;
-    arm.run_until(Instant::ZERO, |_| told += 1).unwrap();
-    assert_eq!((told, bus.sent()), (3, Vec::from([torque().encode()])));
+    let mut reported = 0;
+    arm.run_until(Instant::ZERO, |_| reported += 1).unwrap();
+    assert_eq!((reported, bus.sent()), (3, Vec::from([torque().encode()])));
 
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
     [2, 3, 4].into_iter().for_each(|motor| bus.hear(&report(motor)));
     arm.set_point(id(1), torque()).unwrap();
-    block_on(arm.run_until(Instant::ZERO, |_| told += 1)).unwrap();
-    assert_eq!((told, bus.sent()), (6, Vec::from([torque().encode()])));
+    block_on(arm.run_until(Instant::ZERO, |_| reported += 1)).unwrap();
+    assert_eq!((reported, bus.sent()), (6, Vec::from([torque().encode()])));
 }

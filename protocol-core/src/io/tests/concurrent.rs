@@ -133,7 +133,7 @@ fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
 
 /// A controller that takes something again wakes the task.
 #[test]
-fn what_the_controller_refuses_is_offered_again_when_anything_wakes_the_task() {
+fn refused_frame_is_offered_again_when_the_task_is_woken() {
     let (bus, clock, mut arm) = can();
     bus.state().full_until = u64::MAX;
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -167,9 +167,9 @@ impl AsyncCan for Counts {
     }
 }
 
-/// What else runs in its task wakes that all the time.
+/// Whatever else runs in its task wakes it all the time.
 #[test]
-fn a_loop_that_waits_for_a_frame_goes_no_round_whenever_its_task_is_woken() {
+fn waiting_loop_does_not_run_a_round_for_each_wake_of_its_task() {
     let calls = Rc::new(Cell::new(0));
     let (_, _, mut arm) = on_can(|bus, clock, config| {
         AsyncCanMaster::<_, _, 4>::new(Counts(bus, calls.clone()), clock, config)
@@ -198,7 +198,7 @@ fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
 }
 
 #[test]
-fn a_serial_frame_counts_as_sent_also_if_the_port_has_not_said_that_it_took_any_of_it() {
+fn serial_frame_dropped_during_a_stalled_write_counts_as_sent() {
     let (port, _, mut arm) = used_serial();
     port.state().stalls = true;
     let ticket = arm.master().request(id(1), step()).unwrap();
@@ -210,7 +210,7 @@ fn a_serial_frame_counts_as_sent_also_if_the_port_has_not_said_that_it_took_any_
 }
 
 #[test]
-fn a_port_that_is_not_flushed_within_20_ms_is_read_all_the_same() {
+fn port_that_is_not_flushed_within_20_ms_is_still_read() {
     let (port, clock, mut arm) = used_serial();
     let start = clock.micros();
     port.state().flush_stalls = true;
@@ -243,8 +243,8 @@ fn no_echo_confirms_a_stop_after_a_port_has_failed() {
         clock.advance(2_000);
     }
     port.state().write_fails = false;
-    let told = block_on(arm.next_event());
-    assert_eq!(told, Ok(Event::StopUnconfirmed { motor: id(9) }), "nobody is there");
+    let reported = block_on(arm.next_event());
+    assert_eq!(reported, Ok(Event::StopUnconfirmed { motor: id(9) }), "nobody is there");
 }
 
 #[test]
@@ -259,13 +259,17 @@ fn no_echo_confirms_a_stop_whenever_futures_are_dropped() {
             assert_eq!(polls(arm.next_event(), most), None, "{most}");
             clock.advance(2_000);
         }
-        let told = block_on(arm.next_event());
-        assert_eq!(told, Ok(Event::StopUnconfirmed { motor: id(9) }), "{most}: nobody is there");
+        let reported = block_on(arm.next_event());
+        assert_eq!(
+            reported,
+            Ok(Event::StopUnconfirmed { motor: id(9) }),
+            "{most}: nobody is there"
+        );
     }
 }
 
 #[test]
-fn futures_that_are_dropped_while_a_frame_leaves_hold_no_stop_up() {
+fn futures_dropped_while_a_frame_leaves_delay_no_stop() {
     let (port, clock, mut arm) = serial();
     arm.master().stop(id(9), StopKind::Hold).unwrap();
     // Each sees its frame taken, and is dropped before all of it has left.
@@ -279,7 +283,7 @@ fn futures_that_are_dropped_while_a_frame_leaves_hold_no_stop_up() {
 }
 
 #[test]
-fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
+fn frame_taken_by_a_serial_port_counts_as_sent_though_its_flush_fails() {
     let (port, _, mut arm) = used_serial();
     port.state().flush_fails = true;
     assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
@@ -289,7 +293,7 @@ fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
 }
 
 #[test]
-fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
+fn waiting_commands_fail_after_20_ms_on_a_bus_that_takes_nothing() {
     // Polled to the end, or dropped every few polls: the bus is down after the same time.
     for most in [3, usize::MAX] {
         let (bus, clock, mut arm) = can();
@@ -379,14 +383,14 @@ fn a_run_ends_in_time() {
 }
 
 #[test]
-fn a_question_waits_for_one_whose_future_was_dropped() {
+fn request_waits_for_one_whose_future_was_dropped() {
     let (_, _, mut arm) = can();
     assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 2).is_none());
     assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
 }
 
 #[test]
-fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
+fn stop_is_sent_while_each_receive_fails() {
     let (bus, clock, mut arm) = can();
     bus.state().receive_fails = true;
     arm.master().stop_all(StopKind::Hold, [id(1), id(2)].into_iter().collect()).unwrap();

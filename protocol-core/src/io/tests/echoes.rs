@@ -19,15 +19,15 @@ fn quiet(config: Config) -> (TestSerial, Arm) {
     (port.clone(), SerialMaster::new(port, clock, config))
 }
 
-/// As that, by one that echoes, which the loop was told or not.
-fn echoing(is_told: bool) -> (TestSerial, Arm) {
-    let (port, arm) = quiet(Config::rs485(115_200, is_told));
+/// As that, by one that echoes, which is configured or not.
+fn echoing(is_configured: bool) -> (TestSerial, Arm) {
+    let (port, arm) = quiet(Config::rs485(115_200, is_configured));
     port.state().echoes = true;
     (port, arm)
 }
 
-/// That of a loop which nobody has told anything.
-const UNTOLD: Config = Config::rs485(115_200, false);
+/// No echo is configured.
+const UNCONFIGURED: Config = Config::rs485(115_200, false);
 
 /// Runs for so long, whatever fails, and gives what happened.
 fn run(arm: &mut Arm, micros: u64) -> Vec<Event> {
@@ -45,7 +45,7 @@ fn confirmations(arm: &mut Arm, micros: u64) -> usize {
 }
 
 #[test]
-fn what_the_port_refuses_makes_no_earlier_echo_pass_for_a_confirmation() {
+fn earlier_echo_does_not_confirm_a_stop_while_the_port_refuses_frames() {
     for fails in [false, true] {
         let (port, mut arm) = echoing(true);
         port.state().hands_over_every = 16_000;
@@ -62,7 +62,7 @@ fn what_the_port_refuses_makes_no_earlier_echo_pass_for_a_confirmation() {
 }
 
 #[test]
-fn what_the_port_refuses_makes_no_confirmation_pass_for_its_echo() {
+fn confirmation_is_not_taken_for_the_echo_of_a_refused_frame() {
     let (port, mut arm) = echoing(true);
     port.state().takes_nothing = true;
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -72,7 +72,7 @@ fn what_the_port_refuses_makes_no_confirmation_pass_for_its_echo() {
 }
 
 #[test]
-fn echoes_that_a_cut_takes_do_not_show_that_there_are_none() {
+fn echoes_lost_in_a_cut_do_not_show_an_adapter_without_echo() {
     let (port, mut arm) = echoing(false);
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     port.state().is_cut = true;
@@ -86,7 +86,7 @@ fn echoes_that_a_cut_takes_do_not_show_that_there_are_none() {
 }
 
 #[test]
-fn a_line_that_was_dead_when_it_was_opened_is_asked_again() {
+fn no_echo_confirms_a_stop_on_a_line_that_was_dead_when_opened() {
     for cut_for in (0..60_000).step_by(700) {
         let (port, mut arm) = echoing(false);
         port.state().is_cut = true;
@@ -99,7 +99,7 @@ fn a_line_that_was_dead_when_it_was_opened_is_asked_again() {
 }
 
 #[test]
-fn what_is_lost_while_reading_fails_shows_nothing() {
+fn echoes_lost_while_reading_fails_let_no_echo_confirm_a_stop() {
     for fails_at in [0, 1, 25, 30] {
         for fails_for in 1..100 {
             let (port, mut arm) = echoing(false);
@@ -123,7 +123,7 @@ fn sent(port: &TestSerial) -> Vec<(u8, u8)> {
 }
 
 #[test]
-fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_each() {
+fn first_attempt_of_a_stop_is_sent_at_once_and_the_others_after_a_read() {
     let (port, mut arm) = echoing(false);
     port.state().read_fails = true;
     arm.master().stop(id(8), StopKind::Hold).unwrap();
@@ -139,18 +139,18 @@ fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_eac
     assert!(reads.iter().zip(&stops).all(|(read, stop)| read.0 == stop.0), "{sent:?}");
 }
 
-/// Its feedback may be the same bytes. Four answers show that there is none.
+/// The feedback of the set-point may be the same bytes as its echo. Four answers show that there is no echo.
 #[test]
-fn who_gets_a_set_point_is_asked_first_what_shows_an_echo() {
-    let (port, mut arm) = quiet(UNTOLD);
+fn first_set_point_is_sent_after_four_status_reads() {
+    let (port, mut arm) = quiet(UNCONFIGURED);
     arm.set_point(id(1), torque()).unwrap();
     run(&mut arm, 50_000);
     assert_eq!(sent(&port), [(1, 0x9A), (1, 0x9A), (1, 0x9A), (1, 0x9A), (1, 0xA1)]);
 }
 
 #[test]
-fn a_line_on_which_motors_answer_is_asked_four_times_and_no_more() {
-    let (port, mut arm) = quiet(UNTOLD);
+fn adapter_without_echo_gets_four_status_reads_only() {
+    let (port, mut arm) = quiet(UNCONFIGURED);
     for _ in 0..5 {
         arm.ask(id(1), ReadMultiTurnAngle).unwrap();
         assert!(arm.stop(id(1), StopKind::Hold));
@@ -166,8 +166,8 @@ fn a_line_on_which_motors_answer_is_asked_four_times_and_no_more() {
 }
 
 #[test]
-fn what_is_sent_once_is_acknowledged_also_where_nothing_was_heard_before() {
-    let (_, mut arm) = quiet(Config { attempts: 1, ..UNTOLD });
+fn single_attempt_is_acknowledged_on_a_line_not_heard_before() {
+    let (_, mut arm) = quiet(Config { attempts: 1, ..UNCONFIGURED });
     let ticket = arm.master().request(id(1), Stop).unwrap();
     let (end, mut events) = (arm.now() + Duration::from_millis(100), Vec::new());
     arm.run_until(end, |event| events.push(event)).unwrap();
@@ -176,7 +176,7 @@ fn what_is_sent_once_is_acknowledged_also_where_nothing_was_heard_before() {
 }
 
 #[test]
-fn what_an_adapter_gave_back_before_a_cut_or_within_it_confirms_nothing() {
+fn no_echo_confirms_a_stop_on_a_line_cut_again_and_again() {
     // Nobody is there. The line is dead until so many bytes were sent, and whole for so many more, again and again.
     for dead in [13, 26, 39, 52, 65] {
         for whole in [13, 26, 39, 52] {
@@ -197,7 +197,7 @@ fn what_an_adapter_gave_back_before_a_cut_or_within_it_confirms_nothing() {
 
 #[test]
 fn stops_are_confirmed_on_a_line_on_which_nothing_else_was_heard() {
-    let (port, mut arm) = quiet(UNTOLD);
+    let (port, mut arm) = quiet(UNCONFIGURED);
     // Motors 1 to 3 get their power late.
     port.state().is_cut = true;
     (1..=3).for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());
@@ -208,24 +208,24 @@ fn stops_are_confirmed_on_a_line_on_which_nothing_else_was_heard() {
 
 #[test]
 fn echoes_that_pile_up_while_reading_fails_confirm_nothing() {
-    for is_told in [false, true] {
+    for is_configured in [false, true] {
         for motors in 1..=4 {
             for fails_for in [20, 50, 100, 150, 200, 300, 400] {
-                let (port, mut arm) = echoing(is_told);
+                let (port, mut arm) = echoing(is_configured);
                 // Nobody is there.
                 (6..6 + motors).for_each(|it| arm.master().stop(id(it), StopKind::Hold).unwrap());
                 port.state().read_fails = true;
                 let mut confirmed = confirmations(&mut arm, fails_for * 1_000);
                 port.state().read_fails = false;
                 confirmed += confirmations(&mut arm, 500_000);
-                assert_eq!(confirmed, 0, "{is_told}, {motors} motors, {fails_for} ms");
+                assert_eq!(confirmed, 0, "{is_configured}, {motors} motors, {fails_for} ms");
             }
         }
     }
 }
 
 #[test]
-fn a_command_goes_after_one_status_of_another_motor() {
+fn command_to_a_second_motor_is_not_held_back_by_an_echo() {
     let (port, mut arm) = echoing(false);
     arm.ask(id(1), ReadStatus1).unwrap();
     let ticket = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
@@ -243,7 +243,7 @@ fn a_command_goes_after_one_status_of_another_motor() {
 }
 
 #[test]
-fn every_other_echo_that_is_lost_keeps_nothing_back_for_long() {
+fn request_is_answered_though_every_other_echo_is_lost() {
     let (port, mut arm) = echoing(false);
     let ticket = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
     let mut outcome = None;
@@ -256,7 +256,7 @@ fn every_other_echo_that_is_lost_keeps_nothing_back_for_long() {
 }
 
 #[test]
-fn one_echo_that_noise_takes_behind_a_cut_confirms_nothing() {
+fn one_lost_echo_after_a_cut_lets_no_echo_confirm_a_stop() {
     for cut in 1..20 {
         for noise in cut..cut + 6 {
             let (port, mut arm) = echoing(false);
@@ -276,7 +276,7 @@ fn one_echo_that_noise_takes_behind_a_cut_confirms_nothing() {
 }
 
 #[test]
-fn a_read_that_was_half_taken_has_no_answer() {
+fn half_taken_reads_do_not_show_an_adapter_without_echo() {
     let (port, mut arm) = echoing(false);
     port.state().is_cut = true;
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -298,9 +298,9 @@ fn a_read_that_was_half_taken_has_no_answer() {
 }
 
 #[test]
-fn the_first_stops_of_live_motors_do_not_wait_for_each_others_time_out() {
+fn first_stops_of_three_live_motors_are_sent_within_70_ms() {
     for to_all in [true, false] {
-        let (port, mut arm) = quiet(UNTOLD.adapting_up_to(Duration::from_millis(40)));
+        let (port, mut arm) = quiet(UNCONFIGURED.adapting_up_to(Duration::from_millis(40)));
         let motors: MotorSet = (1..=3).map(id).collect();
         match to_all {
             true => arm.master().stop_all(StopKind::Hold, motors).unwrap(),
@@ -314,8 +314,8 @@ fn the_first_stops_of_live_motors_do_not_wait_for_each_others_time_out() {
 }
 
 #[test]
-fn what_asks_for_an_echo_keeps_no_question_back_for_ever() {
-    let (_, mut arm) = quiet(UNTOLD);
+fn request_ends_within_2_s_though_set_points_ask_for_an_echo() {
+    let (_, mut arm) = quiet(UNCONFIGURED);
     let ticket = arm.master().request(id(9), ReadStatus1).unwrap();
     let mut outcome = None;
     for _ in 0..200 {
@@ -327,15 +327,15 @@ fn what_asks_for_an_echo_keeps_no_question_back_for_ever() {
 }
 
 #[test]
-fn what_nobody_answers_does_not_count_as_asked() {
-    let (_, mut arm) = quiet(Config { attempts: 1, ..UNTOLD });
+fn reset_without_reply_does_not_count_as_a_question_for_an_echo() {
+    let (_, mut arm) = quiet(Config { attempts: 1, ..UNCONFIGURED });
     arm.ask(id(1), Reset).unwrap();
     run(&mut arm, 2_500_000);
     assert_eq!(arm.ask(id(1), Stop), Ok(Stop));
 }
 
 #[test]
-fn an_error_of_reading_may_have_taken_an_echo() {
+fn echo_lost_with_a_read_error_does_not_show_an_adapter_without_echo() {
     let (port, mut arm) = echoing(false);
     // Each echo is lost with the error that tells of it, but not the answer.
     for asked in 1..=5 {
@@ -356,8 +356,8 @@ fn an_error_of_reading_may_have_taken_an_echo() {
 }
 
 #[test]
-fn reads_that_a_drive_hands_back_that_has_lost_its_master_show_no_echo() {
-    let (port, mut arm) = quiet(UNTOLD);
+fn reads_sent_back_by_a_drive_that_lost_its_master_show_no_echo() {
+    let (port, mut arm) = quiet(UNCONFIGURED);
     let line = |data| Frame { address: id(1).into(), data }.encode();
     for _ in 0..3 {
         // It says so, hands the next command back and ignores it, and answers the second attempt.
@@ -375,7 +375,7 @@ fn reads_that_a_drive_hands_back_that_has_lost_its_master_show_no_echo() {
 }
 
 #[test]
-fn an_echo_that_a_cut_took_long_ago_is_not_waited_for() {
+fn echo_lost_in_a_cut_long_ago_is_no_longer_expected() {
     let (port, mut arm) = echoing(true);
     port.state().is_cut = true;
     let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };

@@ -263,15 +263,15 @@ fn a_move_of_which_a_part_was_taken_is_not_sent_again() {
     let outcome = arm.run_until(arm.now() + Duration::from_millis(1), |_| {});
     assert!(matches!(outcome, Err(CallError::Bus(_))), "{outcome:?}");
     port.state().fails_after = None;
-    let mut told = None;
+    let mut ended = None;
     let end = arm.now() + Duration::from_millis(100);
-    arm.run_until(end, |event| told = told.or(step.outcome(&event))).unwrap();
-    assert_eq!(told, Some(Err(Failure::NoReply)));
+    arm.run_until(end, |event| ended = ended.or(step.outcome(&event))).unwrap();
+    assert_eq!(ended, Some(Err(Failure::NoReply)));
     assert_eq!(port.written().len(), 5);
 }
 
 #[test]
-fn a_port_whose_flush_has_failed_is_flushed_all_the_same() {
+fn port_is_flushed_again_after_a_failed_flush() {
     let (port, _, mut arm): (TestSerial, TestClock, AsyncSerialMaster<_, _, 4>) =
         on_rs485(AsyncSerialMaster::new);
     port.state().flush_fails = true;
@@ -285,7 +285,7 @@ fn a_port_whose_flush_has_failed_is_flushed_all_the_same() {
 }
 
 #[test]
-fn two_motors_of_one_id_are_told_apart_by_whatever_they_answer_differently() {
+fn two_motors_of_one_id_are_found_by_any_different_answer() {
     for kind in [
         Opcode::ReadStatus1,
         Opcode::ReadStatus2,

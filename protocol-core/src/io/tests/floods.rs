@@ -78,7 +78,7 @@ impl AsyncCan for Babbling {
 const ROUNDS: usize = 65;
 
 #[test]
-fn a_stop_leaves_a_polled_loop_whatever_comes_at_every_look() {
+fn polled_loop_sends_a_stop_though_a_frame_waits_at_every_look() {
     let bus = Babbling::new(true);
     let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), TestClock::default(), Config::CAN);
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -100,7 +100,7 @@ fn a_stop_leaves_a_polled_loop_whatever_comes_at_every_look() {
 }
 
 #[test]
-fn a_stop_leaves_a_task_whatever_comes_at_every_look() {
+fn async_loop_sends_a_stop_though_a_frame_waits_at_every_look() {
     let bus = Babbling::new(true);
     let mut arm = AsyncCanMaster::<_, _, 4>::new(bus.clone(), TestClock::default(), Config::CAN);
     arm.master().stop(id(1), StopKind::Hold).unwrap();
@@ -136,12 +136,12 @@ fn a_bus_that_babbles_leaves_other_tasks_their_turns() {
 }
 
 #[test]
-fn a_call_whose_time_is_up_hears_what_has_come_and_no_more() {
+fn call_out_of_time_hears_only_what_has_come() {
     let bus = Babbling::new(true);
     let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), TestClock::default(), Config::CAN);
-    let mut told = 0;
-    arm.run_until(Instant::ZERO, |_| told += 1).unwrap();
-    assert_eq!(told, ROUNDS - 1, "after as many looks it is sent to");
+    let mut reported = 0;
+    arm.run_until(Instant::ZERO, |_| reported += 1).unwrap();
+    assert_eq!(reported, ROUNDS - 1, "after as many looks it is sent to");
 
     // Nothing has come.
     let bus = Babbling::default();
@@ -151,7 +151,7 @@ fn a_call_whose_time_is_up_hears_what_has_come_and_no_more() {
 }
 
 #[test]
-fn what_comes_at_every_look_does_not_hide_that_an_answer_does_not() {
+fn frames_at_every_look_do_not_hide_that_an_answer_is_missing() {
     let (bus, clock) = (Babbling::new(true), TestClock::default());
     let mut arm = CanMaster::<_, _, 4>::new(bus, clock.clone(), Config::CAN);
     let read = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
@@ -177,7 +177,7 @@ fn a_run_ends_in_time_on_a_bus_that_takes_nothing() {
 }
 
 #[test]
-fn a_stop_leaves_by_a_port_that_took_nothing_when_it_does_again() {
+fn stop_is_sent_once_a_blocked_port_takes_bytes_again() {
     let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     for is_stalled in [false, true] {
         let stop = |arm: &mut AsyncSerialMaster<_, _, 4>| {
@@ -280,7 +280,7 @@ fn wakes<F: Future>(future: F) -> Option<usize> {
 }
 
 #[test]
-fn a_task_wakes_itself_for_what_has_come_and_for_nothing_else() {
+fn task_wakes_itself_only_for_received_frames() {
     let mut arm = AsyncCanMaster::<_, _, 4>::new(Babbling::new(false), Still, Config::CAN);
     assert_eq!(wakes(arm.run(None)), Some(1), "it holds a frame already");
     let mut arm = AsyncCanMaster::<_, _, 4>::new(Full::default(), Still, Config::CAN);
@@ -347,7 +347,7 @@ impl AsyncCan for Swapping {
 }
 
 #[test]
-fn a_controller_that_hands_back_a_frame_for_each_that_it_takes_is_left_all_the_same() {
+fn loop_leaves_a_controller_that_hands_back_a_frame_for_each_it_takes() {
     let clock = TestClock::default();
     let mut arm = CanMaster::<_, _, 4>::new(Swapping::default(), clock.clone(), Config::CAN);
     [1, 2].into_iter().for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());

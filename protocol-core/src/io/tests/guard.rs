@@ -24,7 +24,7 @@ use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
-/// What motor 1 is told while it is stopped.
+/// The error of a call for motor 1 while it is stopped.
 fn refused<E>() -> CallError<E> {
     CallError::Refused { motor: id(1), refusal: RequestError::Stopped }
 }
@@ -68,13 +68,13 @@ fn control(bus: &mut impl Runner<4, Error = Broken>) -> Result<(), CallError<Bro
 }
 
 #[test]
-fn by_an_error() {
+fn guard_stops_motors_after_an_error() {
     is_stopped_after!(|bus| assert!(control(&mut bus).is_err()));
 }
 
 #[test]
 #[expect(clippy::never_loop, reason = "it is left")]
-fn by_a_break() {
+fn guard_stops_motors_after_a_break() {
     is_stopped_after!(|bus| {
         loop {
             bus.set_point(id(1), torque()).unwrap();
@@ -85,7 +85,7 @@ fn by_a_break() {
 }
 
 #[test]
-fn by_a_panic() {
+fn guard_stops_motors_after_a_panic() {
     is_stopped_after!(|bus| {
         let result = catch_unwind(AssertUnwindSafe(move || {
             bus.set_point(id(1), torque()).unwrap();
@@ -96,13 +96,13 @@ fn by_a_panic() {
 }
 
 #[test]
-fn at_its_end_with_who_has_not_confirmed() {
+fn guard_stops_motors_when_it_is_finished() {
     is_stopped_after!(|bus| assert_eq!(bus.finish(), MotorSet::EMPTY));
 }
 
-/// On a line what goes to all reaches whom the master does not know, though nobody of them can confirm it.
+/// On a line a stop to all reaches motors that the master does not know, though none of them can confirm it.
 #[test]
-fn on_a_line_with_a_stop_to_all_also_where_the_master_knows_nobody() {
+fn on_rs485_guard_stops_all_though_no_motor_is_known() {
     let stop = Packet { channel: Channel::Command(Target::All), data: Stop.encode() };
     let stop = Frame::from_packet(&stop).unwrap().encode();
     let (port, clock, mut arm) = on_rs485(SerialMaster::<_, _, 4>::new);
@@ -119,7 +119,7 @@ fn on_a_line_with_a_stop_to_all_also_where_the_master_knows_nobody() {
 }
 
 #[test]
-fn with_those_that_only_a_broadcast_has_moved() {
+fn guard_stops_motors_that_only_a_broadcast_has_moved() {
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
     let moved = [id(1), id(9)].into_iter().collect();
     arm.master().broadcast(torque(), moved).unwrap();
@@ -130,7 +130,7 @@ fn with_those_that_only_a_broadcast_has_moved() {
 }
 
 #[test]
-fn by_an_error_of_a_task() {
+fn guarded_task_stops_motors_after_an_error() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
     let (result, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
         bus.set_point(id(1), torque())?;
@@ -144,7 +144,7 @@ fn by_an_error_of_a_task() {
 }
 
 #[test]
-fn by_a_future_that_is_dropped() {
+fn dropped_guarded_future_stops_motors() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
     assert!(polls(guarded(&mut arm, StopKind::Hold, streaming), 50).is_none());
     // Nothing runs the bus just now; whatever runs it next sends the stop first.
@@ -155,7 +155,7 @@ fn by_a_future_that_is_dropped() {
 }
 
 #[test]
-fn by_a_move_whose_future_is_dropped() {
+fn dropped_move_future_stops_the_motor() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
     let limits = MoveLimits::default();
     let go_on = |_: &_| ControlFlow::Continue(());
@@ -176,7 +176,7 @@ async fn streaming<R: AsyncRunner<4, Error = Broken>>(bus: &mut R) {
 }
 
 #[test]
-fn by_an_error_of_a_task_on_a_line() {
+fn on_rs485_guarded_task_stops_motors_after_an_error() {
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     let (result, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
         bus.set_point(id(1), torque())?;
@@ -190,7 +190,7 @@ fn by_an_error_of_a_task_on_a_line() {
 }
 
 #[test]
-fn by_a_future_that_is_dropped_on_a_line() {
+fn on_rs485_dropped_guarded_future_stops_motors() {
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
     assert!(polls(guarded(&mut arm, StopKind::Hold, streaming), 20).is_none());
@@ -210,7 +210,7 @@ async fn panicking<R: AsyncRunner<4, Error = Broken>>(bus: &mut R) {
 }
 
 #[test]
-fn by_a_panic_of_a_task() {
+fn guarded_task_stops_motors_after_a_panic() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
     let task = || block_on(guarded(&mut arm, StopKind::Hold, panicking));
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
@@ -228,9 +228,9 @@ fn by_a_panic_of_a_task() {
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
-/// The motor has confirmed it, so that nothing is owed to whoever uses the loop next.
+/// The motor has confirmed the stop, so that whoever uses the loop next owes it nothing.
 #[test]
-fn what_was_guarded_to_its_end_is_stopped_once() {
+fn guarded_task_that_ends_stops_its_motor_once() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<TestCan, TestClock, 4>::new);
     let (is_done, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
         bus.ask(id(1), ReadMultiTurnAngle).await.is_ok()
@@ -245,7 +245,7 @@ fn what_was_guarded_to_its_end_is_stopped_once() {
 type BothBuses<'a> = Guards<'a, CanMaster<TestCan, TestClock, 4>, 2, 4>;
 
 /// Two buses at one clock, with motor 1 on each, of which the first carries nothing any more. Leaves them in this way;
-/// gives when motor 1 of the second was told to stop, after that, and how long it took in all.
+/// returns when motor 1 of the second got its stop, after that, and how long it took in all.
 fn of_two_the_first_is_cut(
     cut: fn(&mut CanState),
     leave: impl FnOnce(BothBuses<'_>),
@@ -270,7 +270,7 @@ fn of_two_the_first_is_cut(
 }
 
 #[test]
-fn of_several_buses_none_waits_for_another() {
+fn guards_of_several_buses_do_not_wait_for_each_other() {
     let ways: [fn(BothBuses<'_>); 3] = [
         |buses| assert_eq!(buses.finish(), [id(1).into(), MotorSet::EMPTY]),
         |buses| drop(buses),
@@ -292,9 +292,9 @@ fn of_several_buses_none_waits_for_another() {
     }
 }
 
-/// A move that is refused to a motor which another stop holds does not let it go.
+/// The limits of the move say that it ends with the motor off, but another stop holds the motor.
 #[test]
-fn a_move_lets_nobody_go_who_is_held() {
+fn refused_move_does_not_switch_off_a_held_motor() {
     let limits = MoveLimits { stop: StopKind::Off, ..MoveLimits::default() };
     let go_on = |_: &_| ControlFlow::Continue(());
     let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
@@ -305,7 +305,7 @@ fn a_move_lets_nobody_go_who_is_held() {
 }
 
 #[test]
-fn a_driver_that_panics_leaves_the_other_buses_stopped() {
+fn clock_that_panics_leaves_the_other_buses_stopped() {
     let clock = TestClock::default();
     let cans = [TestCan::new(&clock), TestCan::new(&clock)];
     let mut buses =
@@ -343,26 +343,26 @@ impl Clock for PanicsOnce {
     }
 }
 
-/// A gripper that is to let go, and not to hold with all its torque what it has reached.
+/// A gripper that is to be switched off, and not to hold with all its torque what it has reached.
 #[test]
 fn a_move_is_stopped_as_its_limits_say_however_it_is_left() {
     let limits = MoveLimits { stop: StopKind::Off, ..MoveLimits::default() };
-    let told_last = |bus: &TestCan| bus.sent().last().copied();
+    let sent_last = |bus: &TestCan| bus.sent().last().copied();
     let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
     let moved = bring_up::move_to(&mut arm, id(1), step(), &limits, |_| ControlFlow::Break(()));
     assert!(moved.unwrap_err().is_stopped);
-    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
+    assert_eq!(sent_last(&bus), Some(Shutdown.encode()));
 
     let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
     let moves = AssertUnwindSafe(|| {
         bring_up::move_to(&mut arm, id(1), step(), &limits, |_| panic!("a test that panics"))
     });
     catch_unwind(moves).unwrap_err();
-    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
+    assert_eq!(sent_last(&bus), Some(Shutdown.encode()));
 
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<TestCan, TestClock, 4>::new);
     let go_on = |_: &_| ControlFlow::Continue(());
     assert!(polls(move_to(&mut arm, id(1), step(), &limits, go_on), 50).is_none());
     let _ = block_on(arm.run(Some(arm.now())));
-    assert_eq!(told_last(&bus), Some(Shutdown.encode()));
+    assert_eq!(sent_last(&bus), Some(Shutdown.encode()));
 }

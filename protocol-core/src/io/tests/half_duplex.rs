@@ -141,7 +141,7 @@ fn the_pin_is_high_from_before_the_first_byte_to_after_the_last() {
 }
 
 #[test]
-fn async_the_pin_does_the_same() {
+fn async_pin_is_high_from_before_the_first_byte_to_after_the_last() {
     use embedded_io_async::Write;
     let rig = Rig::default();
     let mut port = rig.clone().half_duplex();
@@ -179,7 +179,7 @@ fn the_pin_is_low_after_a_flush_that_failed() {
 }
 
 #[test]
-fn a_write_that_is_dropped_is_made_good_by_the_next_flush() {
+fn pin_falls_with_the_next_flush_after_a_dropped_write() {
     use embedded_io_async::Write;
     let rig = Rig { hangs: true, ..Rig::default() };
     let mut port = rig.clone().half_duplex();
@@ -195,7 +195,7 @@ fn full_after_two(fails: bool) -> Rig {
 }
 
 #[test]
-fn what_the_port_has_taken_leaves_before_the_pin_falls_although_it_takes_no_more() {
+fn pin_falls_only_after_the_bytes_taken_by_a_full_port_have_left() {
     // A driver that goes off in mid-byte cuts what is on the line.
     let cut = [Low, High, Wait(3_000), Write(3), Write(1), Flush, Wait(5_000), Low];
     for fails in [false, true] {

@@ -46,7 +46,7 @@ fn three() -> MotorSet {
 }
 
 #[test]
-fn whenever_the_program_is_halted_within_a_stop_of_all_it_reaches_each_motor() {
+fn stop_of_all_reaches_each_motor_whenever_the_program_is_halted() {
     for looks in 1..40 {
         let clock = TestClock::default();
         let bus = TestCan::new(&clock);
@@ -97,7 +97,7 @@ impl embedded_io::Write for Stuck {
 }
 
 #[test]
-fn a_stop_over_a_port_that_holds_the_loop_again_and_again_is_soon_given_up() {
+fn stop_of_all_over_a_port_that_blocks_the_loop_ends_within_5_s() {
     let clock = TestClock::default();
     let config = Config::rs485(115_200, false);
     let mut arm = SerialMaster::<_, _, 8>::new(Stuck(clock.clone()), clock.clone(), config);

@@ -28,7 +28,7 @@ fn an_hour_later(clock: &TestClock, arm: &mut Arm) -> std::vec::Vec<Event> {
 }
 
 #[test]
-fn a_move_is_not_sent_whenever_the_bus_is_run_next() {
+fn move_of_a_dropped_future_is_not_sent_later() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.ask(id(1), step()), 10).is_none());
     let events = an_hour_later(&clock, &mut arm);
@@ -38,16 +38,16 @@ fn a_move_is_not_sent_whenever_the_bus_is_run_next() {
 }
 
 #[test]
-fn nor_are_several() {
+fn moves_of_a_dropped_future_are_not_sent_later() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.ask_together([(id(1), step()), (id(2), step())]), 10).is_none());
     assert_eq!(an_hour_later(&clock, &mut arm).len(), 2);
     assert!(bus.sent().is_empty(), "{:?}", bus.sent());
 }
 
-/// Not even at once, while a set-point is not too old.
+/// Not even at once, while the set-point is not too old.
 #[test]
-fn nor_is_a_set_point_whose_feedback_nobody_waits_for() {
+fn set_point_of_a_dropped_future_is_not_sent() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.set_point_and_wait(id(1), torque()), 1).is_none());
     let mut events = std::vec::Vec::new();
@@ -59,7 +59,7 @@ fn nor_is_a_set_point_whose_feedback_nobody_waits_for() {
 }
 
 #[test]
-fn one_that_was_sent_is_not_sent_again() {
+fn move_of_a_dropped_future_is_not_retried() {
     let (bus, clock, mut arm) = on_can(Arm::new);
     let there = AbsolutePosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(1) };
     let patience = Patience { reply_timeout: Duration::from_millis(20), attempts: 3 };
@@ -73,7 +73,7 @@ fn one_that_was_sent_is_not_sent_again() {
 
 /// A read of motor 1 is more urgent, and the controller hands the step back for it.
 #[test]
-fn one_that_is_handed_back_is_not_sent_again() {
+fn move_of_a_dropped_future_is_not_sent_again_when_handed_back() {
     let (bus, clock, mut arm) = on_can(Arm::new);
     assert!(polls(arm.ask(id(9), step()), 10).is_none());
     assert_eq!(bus.sent(), [step().encode()]);
@@ -85,7 +85,7 @@ fn one_that_is_handed_back_is_not_sent_again() {
 }
 
 #[test]
-fn what_ends_motion_and_what_reads_goes_all_the_same() {
+fn shutdown_and_read_of_a_dropped_future_are_still_sent() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.ask(id(1), Shutdown), 10).is_none());
     assert!(polls(arm.ask(id(2), ReadMultiTurnAngle), 10).is_none());

@@ -1,5 +1,5 @@
-//! Loads that a motor holds when it is to be switched off: whatever its drive says or does not, and whatever is lost, it
-//! is let go only behind a brake that holds it.
+//! Loads that a motor holds when it is to be switched off: whatever its drive says or does not, and whatever is lost,
+//! the motor is switched off only behind a brake that holds the load.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -25,18 +25,18 @@ const RUNS: u8 = 2;
 const LOCKED: u8 = 0;
 const OPEN: u8 = 1;
 
-/// What was told to do something, in this order.
-fn told(bus: &TestCan) -> Vec<u8> {
+/// The commands that act, in the order in which they were sent.
+fn commanded(bus: &TestCan) -> Vec<u8> {
     let does = |byte: &u8| [0x64, 0x76, 0x77, 0x78, 0x80, 0x81].contains(byte);
     bus.sent().into_iter().map(|data| data[0]).filter(does).collect()
 }
 
-/// Whether its brake slips, and it holds again.
-fn is_held<T, E>(told: &Result<T, BringUpError<E>>) -> bool {
-    matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. }))
+/// Whether the brake slips, and the motor holds again.
+fn is_held<T, E>(outcome: &Result<T, BringUpError<E>>) -> bool {
+    matches!(outcome, Err(BringUpError::BrakeSlips { holds: Some(true), .. }))
 }
 
-/// A motor that runs something and stands, its brake open until it is told to lock, unless this says something else.
+/// A motor that runs something and stands, its brake open until it is to lock, unless this says something else.
 fn holding(mut or: impl FnMut(&mut Data, bool)) -> Saying<impl FnMut(&mut Data)> {
     let mut is_locked = false;
     says(move |data| {
@@ -54,7 +54,7 @@ fn holding(mut or: impl FnMut(&mut Data, bool)) -> Saying<impl FnMut(&mut Data)>
     })
 }
 
-/// One that runs nothing, as it says, and draws no current.
+/// A motor that reports that it runs nothing, and draws no current.
 fn resting(mut or: impl FnMut(&mut Data)) -> Saying<impl FnMut(&mut Data)> {
     holding(move |data, _| {
         match data[0] {
@@ -66,7 +66,7 @@ fn resting(mut or: impl FnMut(&mut Data)) -> Saying<impl FnMut(&mut Data)> {
     })
 }
 
-/// Its brake slips, and one question behind that is lost.
+/// The brake of the motor slips, and one answer after that is lost.
 fn slips(lost: u8) -> Saying<impl FnMut(&mut Data)> {
     let mut opens = 0;
     holding(move |data, is_locked| {
@@ -80,15 +80,17 @@ fn slips(lost: u8) -> Saying<impl FnMut(&mut Data)> {
 }
 
 #[test]
-fn nothing_restarts_that_may_hold_a_load_again_behind_a_brake_that_slips() {
+fn restart_is_refused_if_the_brake_slips_under_a_held_load() {
     for (lost, holds) in [(NO_ANSWER, Some(true)), (0x81, None), (0x9A, None)] {
         let (bus, mut arm) = slips(lost);
         let refused = bring_up::restart(&mut arm, id(1), id(1));
         assert!(
-            matches!(refused, Err(BringUpError::BrakeSlips { holds: told, .. }) if told == holds),
+            matches!(refused, Err(BringUpError::BrakeSlips { holds: found, .. }) if found == holds),
             "{lost:#x}: {refused:?}"
         );
-        assert!(told(&bus).starts_with(&[0x78, 0x77, 0x81]) && !told(&bus).contains(&0x76));
+        assert!(
+            commanded(&bus).starts_with(&[0x78, 0x77, 0x81]) && !commanded(&bus).contains(&0x76)
+        );
     }
 }
 
@@ -109,9 +111,9 @@ impl<F: FnMut(&mut Data)> nb::Can for Fails<F> {
     }
 }
 
-/// Behind a brake that slips at once, or when the motor is off.
+/// The brake slips as soon as it locks, or when the motor is off.
 #[test]
-fn a_bus_that_fails_once_while_a_motor_is_let_go_leaves_no_load() {
+fn one_bus_error_while_a_motor_is_switched_off_drops_no_load() {
     for (frames, slips_at, way) in
         (1..130).flat_map(|frames| [(frames, 0x78, 0), (frames, 0x78, 1), (frames, 0x80, 2)])
     {
@@ -141,10 +143,10 @@ fn a_bus_that_fails_once_while_a_motor_is_let_go_leaves_no_load() {
         };
         let later = arm.now() + BRAKE_MOVES;
         arm.run_until(later, |_| {}).unwrap();
-        let name = std::format!("{frames} {way} {outcome:?} {:x?}", told(&bus));
-        match told(&bus)[..] {
+        let name = std::format!("{frames} {way} {outcome:?} {:x?}", commanded(&bus));
+        match commanded(&bus)[..] {
             // It goes on holding, or its brake holds yet.
-            [] | [0x78] if told(&bus).is_empty() || way == 2 => {
+            [] | [0x78] if commanded(&bus).is_empty() || way == 2 => {
                 assert!(matches!(outcome, Err(BringUpError::Call(_))), "{name}")
             }
             // Or it holds again, or a stop has it hold.
@@ -156,9 +158,9 @@ fn a_bus_that_fails_once_while_a_motor_is_let_go_leaves_no_load() {
     }
 }
 
-/// In motion mode, say: its brake is open, and it stands.
+/// It may be in motion mode: its brake is open, and it stands.
 #[test]
-fn who_runs_nothing_as_it_says_may_hold_a_load_all_the_same() {
+fn motor_that_reports_running_nothing_may_still_hold_a_load() {
     let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x70 => data[7] = 0,
         0x9C if is_locked => data[4] = 90,
@@ -166,12 +168,12 @@ fn who_runs_nothing_as_it_says_may_hold_a_load_all_the_same() {
     });
     let refused = bring_up::lock_brake(&mut arm, id(1));
     assert!(matches!(refused, Err(BringUpError::BrakeSlips { .. })), "{refused:?}");
-    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+    assert_eq!(commanded(&bus), [0x78, 0x77, 0x81]);
 }
 
-/// Some say of an open brake that it is locked while they obey no command.
+/// Some drives report an open brake as locked while they obey no command.
 #[test]
-fn who_may_run_something_has_its_brake_locked_whatever_it_says_of_that() {
+fn brake_of_a_motor_that_may_run_is_locked_though_reported_locked() {
     for says_what in [true, false] {
         let (bus, mut arm) = holding(move |data, _| match data[0] {
             0x9A => data[3] = LOCKED,
@@ -179,25 +181,25 @@ fn who_may_run_something_has_its_brake_locked_whatever_it_says_of_that() {
             _ => {}
         });
         let _zero = bring_up::zero_here(&mut arm, id(1));
-        assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64]);
+        assert_eq!(commanded(&bus)[..3], [0x78, 0x80, 0x64]);
     }
 }
 
-/// One that runs nothing, and says that its brake is locked, loses no time.
+/// A motor that runs nothing, and reports its brake as locked, loses no time.
 #[test]
-fn who_rests_behind_its_brake_is_switched_off_at_once() {
+fn resting_motor_with_a_locked_brake_is_switched_off_at_once() {
     let (bus, mut arm) = resting(|data| {
         if data[0] == 0x9A {
             data[3] = LOCKED;
         }
     });
     let _zero = bring_up::zero_here(&mut arm, id(1));
-    assert_eq!(told(&bus)[..2], [0x80, 0x64]);
+    assert_eq!(commanded(&bus)[..2], [0x80, 0x64]);
 }
 
-/// A motor without a brake, say, and a hand at its shaft.
+/// It may be a motor without a brake, with a hand at its shaft.
 #[test]
-fn who_rests_is_never_told_to_hold() {
+fn resting_motor_is_never_commanded_to_hold() {
     let never_locks = |data: &mut Data| {
         if data[0] == 0x9A {
             data[3] = OPEN;
@@ -207,10 +209,10 @@ fn who_rests_is_never_told_to_hold() {
     let (motor, says) = (id(1), BrakeCommand::RELEASE);
     let refused = bring_up::lock_brake(&mut arm, motor);
     assert_eq!(refused, Err(BringUpError::BrakeNotLocked { motor, says }));
-    assert_eq!(told(&bus), [0x78]);
+    assert_eq!(commanded(&bus), [0x78]);
     let (bus, mut arm) = resting(never_locks);
     let _zero = bring_up::zero_here(&mut arm, id(1));
-    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64]);
+    assert_eq!(commanded(&bus)[..3], [0x78, 0x80, 0x64]);
     let mut is_off = false;
     let (bus, mut arm) = resting(move |data| match data[0] {
         0x80 => is_off = true,
@@ -218,12 +220,12 @@ fn who_rests_is_never_told_to_hold() {
         _ => {}
     });
     let _zero = bring_up::zero_here(&mut arm, id(1));
-    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x64], "it is turned by hand");
+    assert_eq!(commanded(&bus)[..3], [0x78, 0x80, 0x64], "it is turned by hand");
 }
 
-/// A brake whose lock has no answer may lock all the same, or the question was lost for longer than it is repeated.
+/// A brake whose lock has no answer may lock all the same, or the command was lost for longer than it is repeated.
 #[test]
-fn a_brake_that_does_not_answer_is_given_its_time_and_told_once_more() {
+fn unanswered_brake_lock_gets_its_time_and_is_repeated_if_still_open() {
     for (obeys, locks) in [(true, 1), (false, 2)] {
         let (bus, mut arm) = holding(move |data, _| match data[0] {
             0x78 => data[0] = NO_ANSWER,
@@ -233,14 +235,14 @@ fn a_brake_that_does_not_answer_is_given_its_time_and_told_once_more() {
         let begun = arm.now();
         let _zero = bring_up::zero_here(&mut arm, id(1));
         // Each time as often as any question.
-        let asked = told(&bus).iter().take_while(|byte| **byte == 0x78).count();
-        assert_eq!(asked, 3 * locks, "{:x?}", told(&bus));
-        assert_eq!(told(&bus)[asked..][..2], [0x80, 0x64]);
+        let asked = commanded(&bus).iter().take_while(|byte| **byte == 0x78).count();
+        assert_eq!(asked, 3 * locks, "{:x?}", commanded(&bus));
+        assert_eq!(commanded(&bus)[asked..][..2], [0x80, 0x64]);
         assert!(arm.now() - begun > BRAKE_MOVES.times(locks as u32));
     }
 }
 
-/// It runs something and stands until it is off.
+/// A motor that runs something and stands until it is off.
 fn falls_when_off() -> Saying<impl FnMut(&mut Data)> {
     let mut is_off = false;
     holding(move |data, _| match data[0] {
@@ -253,7 +255,7 @@ fn falls_when_off() -> Saying<impl FnMut(&mut Data)> {
 
 /// Some brakes show only then that they slip, and some drives hold behind them until then.
 #[test]
-fn what_falls_when_its_motor_is_off_is_held_again_before_anything_is_written() {
+fn load_that_falls_when_switched_off_is_held_again_before_any_write() {
     let (zeroed, mut arm) = falls_when_off();
     assert!(is_held(&bring_up::zero_here(&mut arm, id(1))));
     let (restarted, mut arm) = falls_when_off();
@@ -261,13 +263,13 @@ fn what_falls_when_its_motor_is_off_is_held_again_before_anything_is_written() {
     let (renamed, mut arm) = falls_when_off();
     assert!(is_held(&bring_up::change_id(&mut arm, id(1), id(4))));
     for bus in [zeroed, restarted, renamed] {
-        assert_eq!(told(&bus), [0x78, 0x80, 0x77, 0x81]);
+        assert_eq!(commanded(&bus), [0x78, 0x80, 0x77, 0x81]);
     }
 }
 
-/// Something opens its brake again and switches it off: it does not turn yet when it is looked at.
+/// Something opens the brake again and switches the motor off; at the first looks its shaft does not turn yet.
 #[test]
-fn who_is_let_go_while_its_brake_locks_is_told_to_hold_again() {
+fn motor_switched_off_while_its_brake_locks_is_held_again() {
     let mut looks = 0;
     let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
         0x70 if is_locked => data[7] = 0,
@@ -280,12 +282,12 @@ fn who_is_let_go_while_its_brake_locks_is_told_to_hold_again() {
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
     assert!(is_held(&slips), "{slips:?}");
-    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+    assert_eq!(commanded(&bus), [0x78, 0x77, 0x81]);
 }
 
-/// Its questions are lost, or it is: it may hear that it is to restart all the same.
+/// Its answers are lost, or the motor is; it may hear the restart all the same.
 #[test]
-fn who_does_not_answer_has_its_brake_locked_before_it_restarts() {
+fn silent_motor_gets_its_brake_locked_before_a_restart() {
     for (answers_then, expected) in [
         (true, [0x78, 0x78, 0x80, 0x76]),
         // As often as any question is asked.
@@ -298,14 +300,14 @@ fn who_does_not_answer_has_its_brake_locked_before_it_restarts() {
         });
         let begun = arm.now();
         let _restart = bring_up::restart(&mut arm, id(1), id(1));
-        assert_eq!(told(&bus)[..4], expected);
+        assert_eq!(commanded(&bus)[..4], expected);
         assert!(arm.now() - begun > BRAKE_MOVES);
     }
 }
 
 /// A line that is out for less than a brake takes says nothing of the motor.
 #[test]
-fn who_answers_soon_is_no_silent_motor() {
+fn motor_silent_for_less_than_its_brake_takes_is_not_given_up() {
     let mut lost = 4;
     let (bus, mut arm) = holding(move |data, _| {
         if data[0] == 0x9A && lost > 0 {
@@ -314,12 +316,12 @@ fn who_answers_soon_is_no_silent_motor() {
         }
     });
     let _restart = bring_up::restart(&mut arm, id(1), id(1));
-    assert_eq!(told(&bus)[..3], [0x78, 0x80, 0x76]);
+    assert_eq!(commanded(&bus)[..3], [0x78, 0x80, 0x76]);
 }
 
-/// The answer to 0x80 may be lost, and it be off all the same.
+/// The answer to 0x80 may be lost and the motor be off.
 #[test]
-fn who_does_not_answer_that_it_is_off_is_looked_at_all_the_same() {
+fn unanswered_shutdown_is_still_checked_for_a_falling_load() {
     let mut is_off = false;
     let (bus, mut arm) = holding(move |data, _| match data[0] {
         0x80 => (is_off, data[0]) = (true, NO_ANSWER),
@@ -329,12 +331,12 @@ fn who_does_not_answer_that_it_is_off_is_looked_at_all_the_same() {
     });
     let slips = bring_up::zero_here(&mut arm, id(1));
     assert!(is_held(&slips), "{slips:?}");
-    assert!(told(&bus).starts_with(&[0x78, 0x80, 0x80, 0x80, 0x77, 0x81]));
+    assert!(commanded(&bus).starts_with(&[0x78, 0x80, 0x80, 0x80, 0x77, 0x81]));
 }
 
-/// Nobody knows whether its brake has locked then.
+/// The brake may not have locked.
 #[test]
-fn who_does_not_say_how_its_brake_is_is_not_switched_off() {
+fn motor_is_not_switched_off_if_its_brake_state_is_unknown() {
     let (bus, mut arm) = holding(|data, is_locked| {
         if data[0] == 0x9A && is_locked {
             data[0] = NO_ANSWER;
@@ -342,12 +344,12 @@ fn who_does_not_say_how_its_brake_is_is_not_switched_off() {
     });
     let refused = bring_up::zero_here(&mut arm, id(1));
     assert!(matches!(refused, Err(BringUpError::Call(_))), "{refused:?}");
-    assert_eq!(told(&bus), [0x78]);
+    assert_eq!(commanded(&bus), [0x78]);
 }
 
-/// It fell before: nobody has it hold what it did not hold.
+/// The load fell before: no motor is made to hold what it did not hold.
 #[test]
-fn a_brake_that_slips_under_what_nobody_held_is_not_opened_again() {
+fn slipping_brake_of_a_motor_that_held_nothing_is_not_reopened() {
     let (bus, mut arm) = resting(|data| match data[0] {
         0x9A => data[3] = LOCKED,
         0x9C => data[4] = 90,
@@ -355,15 +357,15 @@ fn a_brake_that_slips_under_what_nobody_held_is_not_opened_again() {
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
     assert!(matches!(slips, Err(BringUpError::BrakeSlips { holds: Some(false), .. })), "{slips:?}");
-    assert_eq!(told(&bus), [0x78]);
+    assert_eq!(commanded(&bus), [0x78]);
     // A restart makes that no worse.
     let _restart = bring_up::restart(&mut arm, id(1), id(1));
-    assert_eq!(told(&bus)[1..3], [0x80, 0x76]);
+    assert_eq!(commanded(&bus)[1..3], [0x80, 0x76]);
 }
 
-/// It was told to hold while its brake opened, and its shaft turns on: its load is too heavy.
+/// The motor holds while its brake opens, and its shaft turns on: its load is too heavy.
 #[test]
-fn a_motor_that_does_not_bring_its_load_to_rest_within_half_a_second_has_its_brake_locked() {
+fn brake_is_locked_if_the_load_is_not_at_rest_within_half_a_second() {
     for says_what in [false, true] {
         let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
             0x70 if !says_what => data[0] = NO_ANSWER,
@@ -375,13 +377,13 @@ fn a_motor_that_does_not_bring_its_load_to_rest_within_half_a_second_has_its_bra
         assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
         let took = arm.now() - begun - BRAKE_MOVES;
         assert!((500..600).contains(&took.as_millis()), "{took}");
-        assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
+        assert_eq!(commanded(&bus), [0x77, 0x81, 0x78]);
     }
 }
 
-/// It does not say what it runs, and may swing a little while it draws a current.
+/// The motor does not report what it runs. One that draws a current may swing a little.
 #[test]
-fn a_motor_that_turns_behind_an_open_brake_and_draws_no_current_has_its_brake_locked_at_once() {
+fn brake_is_locked_at_once_if_the_motor_turns_and_draws_no_current() {
     let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x70 => data[0] = NO_ANSWER,
         0x9C if !is_locked => (data[2], data[3], data[4]) = (0, 0, 90),
@@ -391,12 +393,12 @@ fn a_motor_that_turns_behind_an_open_brake_and_draws_no_current_has_its_brake_lo
     let turns = Err(BringUpError::NotHeld { motor: id(1), speed: CoarseSpeed::from_raw(90) });
     assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
     assert!((arm.now() - begun - BRAKE_MOVES).as_millis() < 50);
-    assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
+    assert_eq!(commanded(&bus), [0x77, 0x81, 0x78]);
 }
 
-/// It brakes what began to fall while its brake opened.
+/// The motor brakes a load that began to fall while its brake opened.
 #[test]
-fn a_motor_has_brought_its_load_to_rest_when_its_brake_is_said_to_be_open() {
+fn release_returns_only_once_the_load_is_at_rest() {
     let mut looks = 0;
     let (bus, mut arm) = holding(|data, _| {
         if data[0] == 0x9C {
@@ -408,9 +410,9 @@ fn a_motor_has_brought_its_load_to_rest_when_its_brake_is_said_to_be_open() {
     assert_eq!(bus.sent().iter().filter(|data| data[0] == 0x9C).count(), 5);
 }
 
-/// Its encoder is noisy, or somebody turns it.
+/// The encoder is noisy, or somebody turns the shaft.
 #[test]
-fn a_motor_that_never_rests_is_waited_for_no_longer_than_half_a_second() {
+fn release_waits_half_a_second_at_most_for_a_trembling_shaft() {
     let (_, mut arm) = holding(|data, _| {
         if data[0] == 0x9C {
             data[4] = 1;
@@ -422,9 +424,8 @@ fn a_motor_that_never_rests_is_waited_for_no_longer_than_half_a_second() {
     assert!((500..600).contains(&took.as_millis()), "{took}");
 }
 
-/// A single look finds it swinging.
 #[test]
-fn a_motor_that_runs_nothing_and_stands_has_not_let_go() {
+fn release_accepts_an_idle_motor_that_swings_at_one_look_only() {
     let mut looks = 0;
     let (_, mut arm) = resting(|data| {
         if data[0] == 0x9C {
@@ -435,9 +436,9 @@ fn a_motor_that_runs_nothing_and_stands_has_not_let_go() {
     assert_eq!(bring_up::release_brake(&mut arm, id(1)), Ok(()));
 }
 
-/// At its second look it still runs.
+/// When it is first asked, the motor still runs.
 #[test]
-fn a_motor_that_lets_go_while_its_load_comes_to_rest_is_told() {
+fn release_fails_if_the_motor_cuts_its_output_under_its_load() {
     let mut asked = 0;
     let (bus, mut arm) = holding(|data, _| match data[0] {
         0x9C => data[4] = 90,
@@ -449,12 +450,12 @@ fn a_motor_that_lets_go_while_its_load_comes_to_rest_is_told() {
     });
     let turns = Err(BringUpError::NotHeld { motor: id(1), speed: CoarseSpeed::from_raw(90) });
     assert_eq!(bring_up::release_brake(&mut arm, id(1)), turns);
-    assert_eq!(told(&bus), [0x77, 0x81, 0x78]);
+    assert_eq!(commanded(&bus), [0x77, 0x81, 0x78]);
 }
 
-/// What was not acknowledged may not be obeyed: a stop goes on telling it to hold.
+/// A hold that was not acknowledged may not be obeyed: the stop in force repeats it.
 #[test]
-fn who_does_not_acknowledge_that_it_is_to_hold_behind_its_brake_is_stopped() {
+fn motor_that_does_not_acknowledge_its_hold_stays_stopped() {
     let (_, mut arm) = holding(|data, _| {
         if data[0] == 0x81 {
             data[0] = NO_ANSWER;
@@ -464,20 +465,20 @@ fn who_does_not_acknowledge_that_it_is_to_hold_behind_its_brake_is_stopped() {
     assert!(arm.master().is_stopped(id(1)));
 }
 
-/// It is not switched off for what is refused then.
+/// It is not switched off for a restart or a zero that is refused then.
 #[test]
-fn who_is_stopped_is_refused_before_its_brake_is_locked() {
+fn stopped_motor_is_refused_before_its_brake_is_locked() {
     let (bus, mut arm) = holding(|_, _| {});
     assert_eq!(arm.stop_all(StopKind::Hold, id(1).into()), MotorSet::EMPTY);
-    let before = told(&bus).len();
+    let before = commanded(&bus).len();
     assert!(bring_up::restart(&mut arm, id(1), id(1)).is_err());
     assert!(bring_up::zero_here(&mut arm, id(1)).is_err());
-    assert_eq!(told(&bus).len(), before);
+    assert_eq!(commanded(&bus).len(), before);
 }
 
-/// It has no brake, and knows none of these commands.
+/// The motor has no brake, and knows none of these commands.
 #[test]
-fn no_stop_is_left_in_force_where_nothing_of_a_brake_is_answered() {
+fn no_stop_stays_in_force_if_brake_commands_are_not_answered() {
     let (bus, mut arm) = holding(|data, _| {
         if [0x70, 0x77, 0x78].contains(&data[0]) {
             data[0] = NO_ANSWER;
@@ -485,24 +486,24 @@ fn no_stop_is_left_in_force_where_nothing_of_a_brake_is_answered() {
     });
     let _zero = bring_up::zero_here(&mut arm, id(1));
     assert!(!arm.master().is_stopped(id(1)));
-    assert!(told(&bus).contains(&0x64) && !told(&bus).contains(&0x77));
+    assert!(commanded(&bus).contains(&0x64) && !commanded(&bus).contains(&0x77));
 }
 
-/// A drive with an error holds nothing, whatever it says that it runs: only the brake can catch what turns.
+/// A drive with an error holds nothing, whatever it reports to run: only the brake can catch a load that turns it.
 #[test]
-fn what_falls_behind_an_error_has_its_brake_locked() {
+fn falling_load_of_a_motor_with_an_error_gets_the_brake_locked() {
     let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x9A => data[6] = 2,
         0x9C if !is_locked => data[4] = 90,
         _ => {}
     });
     assert_eq!(bring_up::lock_brake(&mut arm, id(1)), Ok(()));
-    assert_eq!(told(&bus), [0x78]);
+    assert_eq!(commanded(&bus), [0x78]);
 }
 
-/// With its brake open it may be moved, with a locked one it falls, and nobody has held it.
+/// With its brake open it may be moved; with a locked one its load falls, and no motor has held it.
 #[test]
-fn who_turns_and_does_not_say_what_it_runs_is_refused_behind_an_open_brake_alone() {
+fn turning_motor_of_unknown_mode_gets_no_lock_while_its_brake_is_open() {
     for (brake, expected) in [(OPEN, &[][..]), (LOCKED, &[0x78][..])] {
         let (bus, mut arm) = holding(move |data, _| match data[0] {
             0x70 => data[0] = NO_ANSWER,
@@ -516,13 +517,13 @@ fn who_turns_and_does_not_say_what_it_runs_is_refused_behind_an_open_brake_alone
             _ => matches!(refused, Err(BringUpError::BrakeSlips { holds: Some(false), .. })),
         };
         assert!(is_right, "{refused:?}");
-        assert_eq!(told(&bus), expected);
+        assert_eq!(commanded(&bus), expected);
     }
 }
 
-/// Its gear holds most of the load, say.
+/// Its gear may hold most of the load.
 #[test]
-fn who_runs_something_may_hold_a_load_though_it_draws_no_current() {
+fn running_motor_without_current_may_still_hold_a_load() {
     let (bus, mut arm) = holding(|data, is_locked| {
         if data[0] == 0x9C {
             (data[2], data[3], data[4]) = (0, 0, if is_locked { 90 } else { 0 });
@@ -530,12 +531,12 @@ fn who_runs_something_may_hold_a_load_though_it_draws_no_current() {
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
     assert!(is_held(&slips), "{slips:?}");
-    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+    assert_eq!(commanded(&bus), [0x78, 0x77, 0x81]);
 }
 
-/// Nobody knows of an error then, and its load falls meanwhile.
+/// The answer about its errors is lost, and its load falls meanwhile.
 #[test]
-fn who_falls_and_does_not_say_whether_it_has_an_error_holds_again() {
+fn falling_load_is_held_again_if_the_error_state_is_unknown() {
     let mut falls = false;
     let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
         0x9C if is_locked => (falls, data[4]) = (true, 90),
@@ -544,12 +545,12 @@ fn who_falls_and_does_not_say_whether_it_has_an_error_holds_again() {
     });
     let slips = bring_up::lock_brake(&mut arm, id(1));
     assert!(is_held(&slips), "{slips:?}");
-    assert_eq!(told(&bus), [0x78, 0x77, 0x81]);
+    assert_eq!(commanded(&bus), [0x78, 0x77, 0x81]);
 }
 
-/// It is caught, and stands at every second look.
+/// The load is caught, and stands at every second look.
 #[test]
-fn what_swings_behind_its_brake_does_not_slip() {
+fn load_that_swings_behind_a_locked_brake_does_not_slip() {
     let mut looks = 0;
     let (bus, mut arm) = holding(move |data, is_locked| {
         if data[0] == 0x9C && is_locked {
@@ -558,19 +559,19 @@ fn what_swings_behind_its_brake_does_not_slip() {
         }
     });
     assert_eq!(bring_up::lock_brake(&mut arm, id(1)), Ok(()));
-    assert_eq!(told(&bus), [0x78]);
+    assert_eq!(commanded(&bus), [0x78]);
 }
 
-/// Nobody has held what falls, so that a restart makes that no worse.
+/// The load was not held before, so that a restart makes that no worse.
 #[test]
-fn who_slips_behind_its_brake_and_was_held_by_nobody_restarts() {
+fn motor_that_held_nothing_restarts_though_its_brake_slips() {
     let (bus, mut arm) = resting(|data| {
         if data[0] == 0x9C {
             data[4] = 90;
         }
     });
     let _restart = bring_up::restart(&mut arm, id(1), id(1));
-    assert_eq!(told(&bus)[..2], [0x78, 0x76]);
+    assert_eq!(commanded(&bus)[..2], [0x78, 0x76]);
 }
 
 /// Notes when each frame is sent.
@@ -590,9 +591,9 @@ impl<C: nb::Can<Frame = SimpleFrame>> nb::Can for Noted<C> {
     }
 }
 
-/// It may hear that its brake is to lock, and hold its load until then.
+/// The motor may hear the lock, and hold its load until then.
 #[test]
-fn who_answers_nothing_has_the_time_to_lock_its_brake_before_it_restarts() {
+fn silent_motor_gets_the_time_to_lock_its_brake_before_a_restart() {
     let times = Rc::new(RefCell::new(Vec::new()));
     let sent = Rc::clone(&times);
     let (_bus, _, mut arm) = on_can(move |bus, clock, config| {

@@ -27,9 +27,9 @@ fn go_on(_: &MoveProgress) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// It holds nothing where it is.
+/// A motor with an error holds nothing where it is.
 #[test]
-fn who_arrives_with_an_error_has_not_arrived() {
+fn motor_with_an_error_at_its_target_has_not_arrived() {
     let command =
         AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
     let limits = MoveLimits::default();
@@ -57,9 +57,9 @@ fn who_arrives_with_an_error_has_not_arrived() {
     }
 }
 
-/// Nor has one that has no error, and was let go on the way: by its communication-loss protection, or by somebody.
+/// It has no error, and was switched off on the way: by its communication-loss protection, or by another caller.
 #[test]
-fn who_arrives_and_runs_nothing_has_not_arrived() {
+fn motor_that_runs_nothing_at_its_target_has_not_arrived() {
     let command =
         AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
     for (mode, let_go) in [(0, true), (3, false)] {
@@ -74,13 +74,13 @@ fn who_arrives_and_runs_nothing_has_not_arrived() {
     }
 }
 
-/// What it is told to do may be obeyed and the answer lost: its brake would open, and nothing hold behind it.
+/// The release may be obeyed and its answer lost: the brake would open, and nothing hold behind it.
 #[test]
-fn who_does_not_answer_when_its_brake_opens_is_told_to_hold_each_time() {
+fn unanswered_brake_release_is_followed_by_holds_each_time() {
     let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x77));
-    let told = bring_up::release_brake(&mut arm, id(1));
+    let outcome = bring_up::release_brake(&mut arm, id(1));
     let (motor, failure) = (id(1), Failure::NoReply);
-    assert_eq!(told, Err(CallError::Failed { motor, failure }.into()));
+    assert_eq!(outcome, Err(CallError::Failed { motor, failure }.into()));
     let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte < 0x90);
     // Once more, when what was not answered must have come.
     let each = [0x77, 0x81, 0x81];
@@ -110,23 +110,23 @@ impl nb::Can for FailsOnce {
     }
 }
 
-/// Nobody knows what a bus has carried that has failed: the motor holds, and whoever called is told.
+/// What a bus has carried that has failed is not known: the motor is held, and the error is returned.
 #[test]
-fn no_brake_is_told_to_open_again_behind_an_error_of_the_bus() {
+fn brake_release_is_not_repeated_after_a_bus_error() {
     let (bus, _, mut arm) = on_can(|bus, clock, config| {
         CanMaster::<_, _, 4>::new(FailsOnce(bus, false), clock, config)
     });
-    let told = bring_up::release_brake(&mut arm, id(1));
-    assert_eq!(told, Err(CallError::Bus(Broken).into()));
+    let outcome = bring_up::release_brake(&mut arm, id(1));
+    assert_eq!(outcome, Err(CallError::Bus(Broken).into()));
     assert!(arm.master().is_stopped(id(1)));
     arm.run_until(Instant::from_millis(100), |_| {}).unwrap();
     let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte != 0x9A);
     assert_eq!(sent.collect::<Vec<_>>(), [0x81]);
 }
 
-/// An error that comes while it opens: only the brake can hold then.
+/// Only the brake can hold then.
 #[test]
-fn who_reports_an_error_while_its_brake_opens_is_told_to_lock_it() {
+fn error_while_a_brake_opens_gets_it_locked_at_once() {
     let mut left = 4;
     let (bus, mut arm) = says(|data| {
         if data[0] == 0x9A {
@@ -143,9 +143,9 @@ fn who_reports_an_error_while_its_brake_opens_is_told_to_lock_it() {
     assert!(arm.now() < Instant::from_millis(100), "at once: its load falls");
 }
 
-/// An error before it is told to open: what is open is locked, and what is locked stays as it is.
+/// The error comes before the release: an open brake is locked, and a locked one left as it is.
 #[test]
-fn who_has_an_error_has_its_brake_locked_where_it_is_open() {
+fn release_for_a_motor_with_an_error_locks_an_open_brake() {
     for (brake, locks) in [(0, 0), (1, 1)] {
         let (bus, mut arm) = says(move |data| {
             if data[0] == 0x9A {
@@ -160,9 +160,9 @@ fn who_has_an_error_has_its_brake_locked_where_it_is_open() {
     }
 }
 
-/// Nothing is open behind which it would have to hold.
+/// No brake is open behind which the motor would have to hold.
 #[test]
-fn no_stop_goes_for_a_brake_that_is_not_told_to_open() {
+fn refused_brake_release_sends_no_stop() {
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
     assert!(arm.stop(id(1), StopKind::Hold));
     let refused = bring_up::release_brake(&mut arm, id(1));
@@ -172,9 +172,9 @@ fn no_stop_goes_for_a_brake_that_is_not_told_to_open() {
     assert_eq!(bus.sent().iter().filter(|data| data[0] == 0x81).count(), 1);
 }
 
-/// It holds, until its brake is told to lock, which slips; then its drive says whether it has an error.
+/// The motor holds until its brake is locked, which slips; then the drive reports whether it has an error.
 #[test]
-fn a_brake_that_slips_is_opened_again_unless_its_drive_has_failed() {
+fn slipping_brake_is_reopened_unless_its_drive_has_an_error() {
     for has_error in [false, true] {
         let mut was_locked = false;
         let (bus, mut arm) = says(move |data| match data[0] {
@@ -184,16 +184,16 @@ fn a_brake_that_slips_is_opened_again_unless_its_drive_has_failed() {
             0x9C if was_locked => data[4] = 90,
             _ => {}
         });
-        let told = bring_up::lock_brake(&mut arm, id(1));
-        assert!(matches!(told, Err(BringUpError::BrakeSlips { .. })), "{told:?}");
+        let outcome = bring_up::lock_brake(&mut arm, id(1));
+        assert!(matches!(outcome, Err(BringUpError::BrakeSlips { .. })), "{outcome:?}");
         let opened = bus.sent().iter().any(|data| data[0] == 0x77);
         assert_eq!(opened, !has_error);
     }
 }
 
-/// Something opens it again behind the lock: it is no motor without a brake.
+/// Something opens the brake again after the lock: this is no motor without a brake.
 #[test]
-fn nothing_is_written_where_a_load_falls_behind_a_brake_that_was_opened_again() {
+fn zero_is_not_written_if_a_load_falls_behind_a_reopened_brake() {
     for falls in [false, true] {
         let mut is_locked = false;
         let (bus, mut arm) = says(move |data| match data[0] {
@@ -204,16 +204,16 @@ fn nothing_is_written_where_a_load_falls_behind_a_brake_that_was_opened_again() 
             0x9C if is_locked && falls => data[4] = 90,
             _ => {}
         });
-        let told = bring_up::zero_here(&mut arm, id(1));
-        let is_refused = matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. }));
+        let outcome = bring_up::zero_here(&mut arm, id(1));
+        let is_refused = matches!(outcome, Err(BringUpError::BrakeSlips { holds: Some(true), .. }));
         let is_off = bus.sent().iter().any(|data| data[0] == 0x80);
-        assert_eq!((is_refused, is_off), (falls, !falls), "{told:?}");
+        assert_eq!((is_refused, is_off), (falls, !falls), "{outcome:?}");
     }
 }
 
-/// Another thread wants it off.
+/// Another thread switches the motor off.
 #[test]
-fn who_was_switched_off_while_its_brake_opened_has_it_locked_again() {
+fn motor_switched_off_while_its_brake_opened_gets_it_locked_again() {
     for (mode, dps, is_let_go) in [(0, 90, true), (2, 0, false), (0, 0, false)] {
         let (bus, mut arm) = says(move |data| match data[0] {
             0x70 => data[7] = mode,
@@ -221,19 +221,19 @@ fn who_was_switched_off_while_its_brake_opened_has_it_locked_again() {
             0x9C => data[4] = dps,
             _ => {}
         });
-        let told = bring_up::release_brake(&mut arm, id(1));
+        let outcome = bring_up::release_brake(&mut arm, id(1));
         let (motor, speed) = (id(1), CoarseSpeed::from_raw(dps.into()));
         assert_eq!(
-            told,
+            outcome,
             if is_let_go { Err(BringUpError::NotHeld { motor, speed }) } else { Ok(()) }
         );
         assert_eq!(bus.sent().iter().any(|data| data[0] == 0x78), is_let_go);
     }
 }
 
-/// A worn one, under a load: it stood before.
+/// The brake is worn, and under a load; the shaft stood before.
 #[test]
-fn a_brake_behind_which_the_shaft_turns_slips() {
+fn locked_brake_slips_if_the_shaft_turns_at_3_dps_or_more() {
     for (dps, slips) in [(2, false), (3, true)] {
         let mut looks = 0;
         let (_, mut arm) = says(move |data| match data[0] {
@@ -246,25 +246,25 @@ fn a_brake_behind_which_the_shaft_turns_slips() {
             _ => {}
         });
         let (motor, speed) = (id(1), CoarseSpeed::from_raw(dps.into()));
-        let told = Err(BringUpError::BrakeSlips { motor, speed, holds: Some(false) });
-        assert_eq!(bring_up::lock_brake(&mut arm, motor), if slips { told } else { Ok(()) });
+        let slipping = Err(BringUpError::BrakeSlips { motor, speed, holds: Some(false) });
+        assert_eq!(bring_up::lock_brake(&mut arm, motor), if slips { slipping } else { Ok(()) });
     }
 }
 
 #[test]
-fn a_brake_that_does_not_say_that_it_opens_is_told() {
+fn brake_still_reported_locked_after_a_release_is_an_error() {
     let (_, mut arm) = says(|data| {
         if data[0] == 0x9A {
             data[3] = 0;
         }
     });
     let (motor, says) = (id(1), BrakeCommand::LOCK);
-    let told = bring_up::release_brake(&mut arm, motor);
-    assert_eq!(told, Err(BringUpError::BrakeNotReleased { motor, says }));
-    assert!(told.unwrap_err().to_string().contains("motor 1"));
+    let outcome = bring_up::release_brake(&mut arm, motor);
+    assert_eq!(outcome, Err(BringUpError::BrakeNotReleased { motor, says }));
+    assert!(outcome.unwrap_err().to_string().contains("motor 1"));
 }
 
-/// A handle to a loop that another thread runs: nobody is told of a restart with the answer that shows it.
+/// A handle to a loop that another thread runs: no restart is reported with the answer that shows it.
 struct Handle {
     arm: AsyncCanMaster<TestCan, TestClock, 4>,
     has_restarted: bool,
@@ -311,7 +311,7 @@ impl Calls<4> for Handle {
 
 /// The motor stands and runs nothing, and has run for no longer than when the move began.
 #[test]
-fn who_moves_by_a_handle_finds_a_restart_out_by_himself() {
+fn move_through_a_handle_finds_a_restart_by_the_run_time() {
     let (_, _, arm) = on_can(AsyncCanMaster::new);
     let mut handle = Handle { arm, has_restarted: false };
     let moved = block_on(move_to(&mut handle, id(1), step(), &MoveLimits::default(), go_on));

@@ -17,7 +17,7 @@ fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
 }
 
 #[test]
-fn a_clock_that_is_lent_tells_the_same_time() {
+fn borrowed_clock_returns_the_same_time() {
     fn now(clock: impl Clock) -> Instant {
         clock.idle(clock.now() + Duration::from_micros(20));
         clock.now()
@@ -29,7 +29,7 @@ fn a_clock_that_is_lent_tells_the_same_time() {
 }
 
 #[test]
-fn a_controller_that_is_lent_sends_and_receives() {
+fn borrowed_controller_sends_and_receives() {
     let clock = TestClock::default();
     let mut bus = TestCan::new(&clock);
     let mut arm = AsyncCanMaster::<_, _, 4>::new(&mut bus, clock, crate::master::Config::CAN);
@@ -47,7 +47,7 @@ fn noise_on_the_line_is_counted() {
 }
 
 #[test]
-fn what_a_serial_port_has_not_taken_is_not_in_flight() {
+fn frame_that_a_serial_port_refused_is_not_in_flight() {
     let (port, clock, mut arm) = serial();
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     clock.advance(1_000);
@@ -59,7 +59,7 @@ fn what_a_serial_port_has_not_taken_is_not_in_flight() {
 
 /// The last byte leaves when the time for an answer would be up already.
 #[test]
-fn an_answer_is_waited_for_from_when_its_question_has_left() {
+fn reply_time_out_begins_when_the_last_byte_has_left() {
     let once = Some(Patience { reply_timeout: Duration::from_millis(5), attempts: 1 });
     let (port, _, mut arm) = serial();
     port.state().flush_takes = 10_000;
@@ -72,10 +72,10 @@ fn an_answer_is_waited_for_from_when_its_question_has_left() {
 }
 
 #[test]
-fn an_adapter_that_echoes_no_more_confirms_stops_again() {
+fn stop_is_confirmed_at_once_after_an_adapter_stopped_echoing() {
     let (port, clock, mut arm) = serial();
     port.state().echoes = true;
-    // An echo that nobody told of is found.
+    // An echo that is not configured is found.
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     assert!(arm.stop(id(1), StopKind::Hold));
     port.state().echoes = false;

@@ -88,7 +88,7 @@ fn ms(millis: u64) -> Instant {
 }
 
 #[test]
-fn each_is_asked_for_its_errors_and_then_for_its_run_time() {
+fn watch_asks_each_motor_for_errors_and_then_for_run_time() {
     let mut bench = Bench::new();
     let mut sent = Vec::new();
     for now in 0..50 {
@@ -104,7 +104,7 @@ fn each_is_asked_for_its_errors_and_then_for_its_run_time() {
 
 /// An adapter may keep each answer for longer than the time between two questions.
 #[test]
-fn one_question_is_asked_at_a_time_and_none_is_left_out() {
+fn watch_asks_one_question_at_a_time_and_leaves_none_out() {
     let mut bench = Bench::new();
     let mut sent = Vec::new();
     let mut answer = None;
@@ -124,7 +124,7 @@ fn one_question_is_asked_at_a_time_and_none_is_left_out() {
 }
 
 #[test]
-fn who_is_busy_is_asked_next() {
+fn busy_motor_is_asked_as_soon_as_it_is_free() {
     let mut bench = Bench::new();
     let model = bench.master.request(id(1), ReadModel).unwrap();
     bench.look(ms(0)).unwrap();
@@ -144,7 +144,7 @@ fn who_is_busy_is_asked_next() {
 
 /// A question is put every 10 ms from 0 on; the fourth is that for the run time of motor 2.
 #[test]
-fn an_answer_that_is_not_noted_for_longer_than_1_s_is_told() {
+fn missing_answer_is_reported_after_1_s() {
     for (answered, motor, until) in [(0, 1, 1_000), (3, 2, 1_030), (4, 1, 1_040)] {
         let (mut bench, mut answers) = (Bench::new(), answered);
         (0..=until).step_by(10).for_each(|now| bench.cycle(now, &mut answers).unwrap());
@@ -154,7 +154,7 @@ fn an_answer_that_is_not_noted_for_longer_than_1_s_is_told() {
 }
 
 #[test]
-fn an_answer_that_was_late_leaves_as_much_time_for_the_next() {
+fn late_answer_leaves_a_whole_second_for_the_next() {
     let (mut bench, mut answers) = (Bench::new(), 0);
     (0..900).step_by(10).for_each(|now| bench.cycle(now, &mut answers).unwrap());
     answers = 1;
@@ -164,7 +164,7 @@ fn an_answer_that_was_late_leaves_as_much_time_for_the_next() {
 }
 
 #[test]
-fn an_error_is_noted_whoever_has_asked_and_if_nobody_has() {
+fn error_is_reported_whether_or_not_the_watch_asked() {
     let stalled = Err(Trouble::Errors { motor: id(1), errors: ErrorFlags::STALL });
     for (asks_by_itself, is_asked) in [(true, true), (false, true), (false, false)] {
         let mut bench = Bench::new();
@@ -190,7 +190,7 @@ fn a_status_without_an_error_and_errors_of_others_are_no_trouble() {
 }
 
 #[test]
-fn an_error_is_noted_when_all_were_asked_at_once() {
+fn error_in_the_answer_to_a_broadcast_is_reported() {
     let mut bench = Bench::new();
     bench.master.broadcast(ReadStatus1, id(1).into()).unwrap();
     bench.sent(ms(0));
@@ -204,9 +204,9 @@ fn lost_master() -> Data {
     [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0]
 }
 
-/// Its output is cut, and its brake locked.
+/// The motor's output is cut, and its brake locked.
 #[test]
-fn who_has_lost_its_master_before_the_watch_or_in_a_call_is_told_until_it_obeys() {
+fn master_lost_before_the_watch_is_reported_until_the_motor_obeys() {
     let mut bench = Bench::new();
     bench.hear(2, HEALTHY, ms(0));
     bench.hear(2, lost_master(), ms(1));
@@ -219,7 +219,7 @@ fn who_has_lost_its_master_before_the_watch_or_in_a_call_is_told_until_it_obeys(
 }
 
 #[test]
-fn the_first_that_was_noted_counts() {
+fn first_noted_trouble_is_reported() {
     let mut bench = Bench::new();
     bench.hear(2, lost_master(), ms(1));
     bench.hear(1, STALLED, ms(1));
@@ -227,7 +227,7 @@ fn the_first_that_was_noted_counts() {
 }
 
 #[test]
-fn who_gives_no_feedback_for_longer_than_100_ms_is_silent() {
+fn motor_without_feedback_for_over_100_ms_is_silent() {
     let mut bench = Bench::new();
     for now in (0..=100).step_by(20) {
         bench.moves(1, ms(now));
@@ -245,9 +245,9 @@ fn who_gives_no_feedback_for_longer_than_100_ms_is_silent() {
     assert_eq!(bench.look(ms(112)), Err(Trouble::Silent(id(1))), "100 ms after 11 ms");
 }
 
-/// It may have been in another loop.
+/// The motor may have been in another loop.
 #[test]
-fn feedback_from_before_the_watch_is_no_silence() {
+fn old_feedback_from_before_the_watch_is_no_silence() {
     let mut bench = Bench::new();
     bench.moves(1, ms(0));
     bench.watch = Watch::new(id(1).into(), ms(500));
@@ -256,7 +256,7 @@ fn feedback_from_before_the_watch_is_no_silence() {
 }
 
 #[test]
-fn who_has_restarted_is_told_until_it_is_resumed() {
+fn restart_is_reported_until_the_motor_is_resumed() {
     let mut bench = Bench::new();
     bench.moves(1, ms(0));
     bench.master.note_restart(id(1));
@@ -278,7 +278,7 @@ fn a_loop_that_was_held_up_for_longer_than_100_ms_is_late() {
 }
 
 #[test]
-fn a_caller_says_how_long_and_how_often() {
+fn watch_keeps_the_silence_and_the_interval_of_its_caller() {
     let mut bench = Bench::new();
     let time = Duration::from_millis;
     bench.watch = bench.watch.clone().longest_silence(time(300)).ask_every(time(25));
@@ -294,7 +294,7 @@ fn a_caller_says_how_long_and_how_often() {
 }
 
 #[test]
-fn nobody_is_watched_without_a_question() {
+fn watch_over_no_motor_asks_nothing() {
     let mut bench = Bench::new();
     bench.watch = Watch::new(MotorSet::EMPTY, ms(0));
     assert_eq!(bench.look(ms(50)), Ok(()));
