@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stop_lets_pass_what_its_documentation_says() {
+    fn stop_refuses_and_passes_commands_as_documented() {
         let passes = |opcode: Opcode| !Kind::Known(opcode).is_refused_while_stopped();
         for &opcode in Opcode::ALL {
             if opcode.name().starts_with("read-") {
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_answers_a_raw_command_its_caller_knows() {
+    fn known_move_but_no_raw_one_is_recognised_as_handed_back() {
         let data = [0xA4, 0, 100, 0, 0, 0, 45, 0];
         assert!(Kind::Known(Opcode::AbsolutePosition).is_handed_back(&data));
         let raw = Kind::Raw { byte: 0xC0, reply: ReplyRule::Values, moves: true };

@@ -417,7 +417,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_follows_from_a_byte_is_the_same_in_every_firmware() {
+    fn facts_of_a_command_byte_are_the_same_in_every_firmware() {
         for &opcode in Opcode::ALL {
             let Some(first) = opcode.byte().and_then(Opcode::from_byte) else { continue };
             let facts = |o: Opcode| {

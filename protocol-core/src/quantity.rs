@@ -495,7 +495,7 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn what_was_given_is_shown_exactly_however_it_was_given() {
+    fn range_error_shows_the_given_value_exactly() {
         let error = SingleTurnTarget::try_from_raw(36_001).unwrap_err();
         assert_eq!(error.given.value(), 360.01);
         assert_eq!(

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_firmware_does_not_know_is_raw_and_kept() {
+    fn unknown_command_decodes_as_raw_and_keeps_its_bytes() {
         let data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
         let packet = Packet { channel: Channel::Command(M1.into()), data };
         let raw = command(&packet).unwrap();

@@ -240,7 +240,7 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn errors_the_manual_does_not_name_are_kept_and_told() {
+    fn errors_the_manual_does_not_name_are_kept_and_printed() {
         let errors = ErrorFlags::from_bits_retain(0x0020 | 0x0002);
         assert_eq!(errors.bits(), 0x0022);
         assert_eq!(errors.to_string(), "motor stalled, unknown error 0x0020");

@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_not_moved_yet_stays_as_it_is() {
+    fn opposite_command_before_a_brake_moves_leaves_it_as_it_is() {
         let mut brake = Brake::new(true);
         brake.release(LATER, Instant::ZERO);
         brake.lock(Instant::from_millis(150), Instant::from_millis(50));
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn shutdown_locks_only_what_was_not_asked_for() {
+    fn shutdown_locks_a_brake_only_if_its_release_was_not_requested() {
         let mut brake = Brake::new(true);
         brake.release_for_motion(Instant::ZERO, Instant::ZERO);
         brake.lock_unless_requested(Instant::ZERO, Instant::ZERO);

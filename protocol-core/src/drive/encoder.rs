@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn of_an_encoder_with_more_bits_than_the_field_the_upper_ones_are_told() {
+    fn encoder_with_more_bits_than_the_field_reports_its_upper_bits() {
         for (bits, pulses) in [(17, 98_304), (18, 196_608)] {
             let parameters = Parameters { encoder_bits: bits, ..Parameters::default() };
             let mut encoder = Encoder::new(&parameters);

@@ -128,37 +128,41 @@ mod tests {
     const STALL: Step = Step { wanted_a: -12.0, flows_a: -12.0, ..FREE };
 
     /// What is reported in this many steps of 1 ms, and when.
-    fn told(limits: &mut Limits, step: Option<Step>, millis: u32) -> Option<(u32, Option<Limit>)> {
+    fn reported(
+        limits: &mut Limits,
+        step: Option<Step>,
+        millis: u32,
+    ) -> Option<(u32, Option<Limit>)> {
         let span = Duration::from_millis(1);
-        let told = (1..=millis).map(|at| (at, limits.observe(step, span)));
-        let mut told = told.filter_map(|(at, change)| Some((at, change?.1)));
-        let first = told.next();
-        assert_eq!(told.next(), None);
+        let changes = (1..=millis).map(|at| (at, limits.observe(step, span)));
+        let mut changes = changes.filter_map(|(at, change)| Some((at, change?.1)));
+        let first = changes.next();
+        assert_eq!(changes.next(), None);
         first
     }
 
     #[test]
-    fn a_limit_is_told_when_it_begins_and_when_it_ends() {
+    fn limit_is_reported_when_it_begins_and_when_it_ends() {
         let mut limits = Limits::default();
-        assert_eq!(told(&mut limits, Some(FREE), 100), None);
-        assert_eq!(told(&mut limits, Some(STALL), 9), None);
-        assert_eq!(told(&mut limits, Some(FREE), 1), None);
-        assert_eq!(told(&mut limits, Some(STALL), 100), Some((10, Some(Limit::StallCurrent))));
-        assert_eq!(told(&mut limits, Some(FREE), 100), Some((10, None)));
-        assert_eq!(told(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
-        assert_eq!(told(&mut limits, None, 100), Some((1, None)));
+        assert_eq!(reported(&mut limits, Some(FREE), 100), None);
+        assert_eq!(reported(&mut limits, Some(STALL), 9), None);
+        assert_eq!(reported(&mut limits, Some(FREE), 1), None);
+        assert_eq!(reported(&mut limits, Some(STALL), 100), Some((10, Some(Limit::StallCurrent))));
+        assert_eq!(reported(&mut limits, Some(FREE), 100), Some((10, None)));
+        assert_eq!(reported(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
+        assert_eq!(reported(&mut limits, None, 100), Some((1, None)));
     }
 
     #[test]
-    fn of_limits_that_take_turns_the_one_that_acted_longest_is_told() {
+    fn longest_acting_of_alternating_limits_is_reported() {
         let starved = Some(Step { flows_a: -6.0, ..STALL });
         let mut limits = Limits::default();
-        assert_eq!(told(&mut limits, starved, 9), None);
-        assert_eq!(told(&mut limits, Some(STALL), 1), Some((1, Some(Limit::Voltage))));
-        assert_eq!(told(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
+        assert_eq!(reported(&mut limits, starved, 9), None);
+        assert_eq!(reported(&mut limits, Some(STALL), 1), Some((1, Some(Limit::Voltage))));
+        assert_eq!(reported(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
         // For most of the time nothing limits it.
-        assert_eq!(told(&mut limits, starved, 4), None);
-        assert_eq!(told(&mut limits, Some(FREE), 6), Some((6, None)));
+        assert_eq!(reported(&mut limits, starved, 4), None);
+        assert_eq!(reported(&mut limits, Some(FREE), 6), Some((6, None)));
     }
 
     #[test]

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_tells_how_long_its_identifier_is() {
+    fn frame_reports_whether_its_identifier_is_standard_or_extended() {
         let extended = SimpleFrame::new(embedded_can::ExtendedId::ZERO, &[]).unwrap();
         assert!(extended.is_extended() && !extended.is_standard());
         let standard = SimpleFrame::new(StandardId::ZERO, &[]).unwrap();

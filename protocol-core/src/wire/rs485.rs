@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_channel_of_bus_ids_only_those_have_a_frame() {
+    fn only_0x79_has_a_frame_on_the_channel_of_bus_ids() {
         let packet = |byte| Packet { channel: Channel::BusId, data: [byte, 0, 1, 0, 0, 0, 0, 0] };
         let frame = Frame::from_packet(&packet(0x79)).unwrap();
         assert_eq!(frame.address, Target::All);

@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn modes_are_told_as_the_manual_numbers_them() {
+    fn modes_are_reported_as_the_manual_numbers_them() {
         let mut controller = Controller::new();
         assert_eq!((controller.mode(), step(&mut controller, &INPUT)), (Mode::from_raw(0), None));
         let full = INPUT.stall_current_a;
