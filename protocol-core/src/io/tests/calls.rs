@@ -209,21 +209,28 @@ fn scan_ended_by_a_bus_error_waits_no_longer_than_for_a_turn() {
 /// The question to another motor fails with the line, too.
 #[test]
 fn scan_ends_after_a_short_failure_of_the_line() {
-    for fails_at in (0..20_000).step_by(1_000) {
+    let time_of_scan = |fails_at: u64| {
         let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
         for motor in [1, 2, 3].map(id) {
             block_on(arm.ask(motor, ReadStatus1)).unwrap();
         }
         clock.advance(25_000);
-        let from = clock.micros() + fails_at;
-        let fails = async {
+        let begun = clock.micros();
+        let failure = begun + fails_at..begun + fails_at + 1_500;
+        let scan = async {
             let _ = async_bring_up::scan(&mut arm, id(9).into(), |_, _| {}).await;
         };
-        let mut fails = core::pin::pin!(fails);
+        let mut scan = core::pin::pin!(scan);
         block_on(core::future::poll_fn(|context| {
-            port.state().write_fails = (from..from + 1_500).contains(&clock.micros());
-            fails.as_mut().poll(context)
+            port.state().write_fails = failure.contains(&clock.micros());
+            scan.as_mut().poll(context)
         }));
+        clock.micros() - begun
+    };
+    let undisturbed = time_of_scan(1_000_000);
+    for fails_at in (0..20_000).step_by(1_000) {
+        let time = time_of_scan(fails_at);
+        assert!(time <= undisturbed, "{fails_at} us: {time} us, not {undisturbed} us");
     }
 }
 

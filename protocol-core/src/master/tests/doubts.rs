@@ -94,7 +94,7 @@ fn pending_shutdown_to_all_delays_only_the_confirmation_of_holds() {
     let locked = master.request(id(1), LockBrake).unwrap();
     sent(&mut master, ms(1));
     let reported = reply(&mut master, 1, LockBrake.encode(), ms(2)).unwrap();
-    assert!(locked.outcome(&reported).is_some());
+    assert!(matches!(locked.outcome(&reported), Some(Ok(_))));
 }
 
 #[test]

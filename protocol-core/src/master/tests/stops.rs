@@ -487,6 +487,11 @@ fn lost_move_is_not_displaced_from_the_late_replies_by_reads() {
         assert_ne!(reported, Some(Event::StopConfirmed { motor: id(1) }), "after {now} ms");
         sent(&mut master, ms(now));
     }
+    // It is stopped once more when the move can come no more.
+    let at = master.poll_at().unwrap();
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let soon = at + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), soon), confirmed(1));
 }
 
 #[test]

@@ -543,8 +543,11 @@ fn duplicate_answer_to_an_ended_broadcast_answers_no_move() {
     let data = [0xA8, 30, 0, 0, 0, 0, 7, 0];
     let first = reply(&mut master, 1, data, Instant::from_micros(101_000));
     let moved = sent(&mut master, Instant::from_micros(101_000));
+    assert_eq!(moved.len(), 1, "{first:?} {moved:?}");
     let again = reply(&mut master, 1, data, Instant::from_micros(101_290));
     assert!(again.is_none_or(|it| ticket.outcome(&it).is_none()), "{first:?} {moved:?} {again:?}");
+    let answer = reply(&mut master, 1, data, Instant::from_micros(102_000)).unwrap();
+    assert!(matches!(ticket.outcome(&answer), Some(Ok(_))), "{answer:?}");
 }
 
 /// Motors 1 and 2 were moved with all, and stopped in one way, then in the other. A program reads all by one command

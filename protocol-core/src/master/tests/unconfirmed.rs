@@ -391,6 +391,7 @@ fn each_unconfirmed_stop_is_repeated_at_its_own_time() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut reported_at = [0; 3];
     let mut last = [0; 3];
+    let mut repeats = [0; 3];
     master.stop(id(1), StopKind::Hold).unwrap();
     for now in 0..3_000 {
         if now == 50 {
@@ -401,6 +402,7 @@ fn each_unconfirmed_stop_is_repeated_at_its_own_time() {
             let motor = usize::from(motor.get());
             let since = now - last[motor];
             last[motor] = now;
+            repeats[motor] += u32::from(reported_at[motor] != 0);
             assert!(
                 reported_at[motor] == 0
                     || now == reported_at[motor] + 100
@@ -414,6 +416,8 @@ fn each_unconfirmed_stop_is_repeated_at_its_own_time() {
             }
         }
     }
+    // The first after 100 ms, the others every 118 to 124 ms, until 3 s.
+    assert!(repeats[1..].iter().all(|times| (21..=22).contains(times)), "{repeats:?}");
 }
 
 /// Each of the fifteen attempts may still be answered; so may the read from before.
