@@ -1,5 +1,5 @@
 //! The cost of serving simulated drives in real time, and the accuracy of their response times:
-//! `cargo bench -p myactuator-tests --features serving --bench serving`. Other work of the machine may spoil a
+//! `cargo bench -p myactuator-tests --bench serving`. Other work of the machine may spoil a
 //! measurement, so up to three are made.
 //!
 //! 64 drives, 32 on CAN and 32 on RS485:
