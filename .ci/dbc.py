@@ -1,5 +1,5 @@
-"""Compares what cantools decodes by the file of `myactuator dbc` with what the manual's examples mean
-and with what `myactuator decode` makes of them. Takes the program and the examples."""
+"""Decodes the manual's examples in cantools, with the file of `myactuator dbc`. Compares the result with
+the examples' meaning and with the output of `myactuator decode`. Arguments: the program and the examples."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import cantools
 from cantools.database.can import Message
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-# How many of the manual's examples are CAN frames: see tests/vectors/README.md.
+# The number of the manual's examples that are CAN frames: see tests/vectors/README.md.
 ROWS = 101
 EITHER_WAY = 0x300
 
@@ -36,8 +36,8 @@ class Frame:
         self.raw = message.decode(data, decode_choices=False, scaling=False)
 
     def signals(self, name, key):
-        """The signals of a field, by the rule of names: several for a text, else one."""
-        # What may be between command and field: the value that selects it.
+        """The signals of a field, found by their names: one for each character of a text, otherwise one."""
+        # Between command and field, the name may have the value that selects the field.
         words = ["", "other_"]
         words += [f"{value}_" for value in self.named.values() if isinstance(value, NamedSignalValue)]
         for word in words:
@@ -49,7 +49,7 @@ class Frame:
         raise LookupError(f"no signal for {key} of {name} among {', '.join(self.named)}")
 
     def agrees(self, signals, value):
-        """Whether the signals say this value, as JSON has it."""
+        """Whether the signals have this value, which comes from JSON."""
         if len(signals) > 1:
             characters = bytes(self.raw[signal] for signal in signals)
             return characters.rstrip(b"\0").decode("ascii") == value
@@ -66,29 +66,29 @@ class Frame:
                 flags = self.message.get_signal_by_name(signal).choices
                 return [str(flags[bit]) for bit in sorted(flags) if raw & bit] == value
             case _:
-                # A float of the frame has 24 bits; its decimal has the fewest digits that distinguish it.
+                # A float in a frame has 24 bits. Its decimal has the fewest digits that identify it.
                 is_float = self.message.get_signal_by_name(signal).is_float
                 return math.isclose(scaled, value, rel_tol=1e-7 if is_float else 1e-9, abs_tol=1e-12)
 
 
 def differences(frame, explanation, example):
-    """Sentences about what is not as it should be."""
-    name, told = explanation["name"], explanation["fields"]
+    """Yields a sentence for each difference."""
+    name, explained = explanation["name"], explanation["fields"]
     if name != example["name"]:
-        yield f"decode calls it {name}"
+        yield f"expected the name {example['name']}, decode has {name}"
     if explanation["opcode"] is not None:
         byte = frame.named["command_byte"]
         if (str(byte), f"0x{byte.value:02X}") != (name, explanation["opcode"]):
-            yield f"its command byte is {byte!r}"
-    for key in example["fields"].keys() - told.keys():
-        yield f"decode has no {key}"
+            yield f"expected the command byte {name} {explanation['opcode']}, cantools has {byte!r}"
+    for key in example["fields"].keys() - explained.keys():
+        yield f"expected a field {key}, decode has none"
 
     signals = []
     compared = {"command_byte"}
-    for key, value in told.items():
+    for key, value in explained.items():
         values = [value] + ([example["fields"][key]] if key in example["fields"] else [])
         if key.endswith("_raw"):
-            # The number of the text before it.
+            # The number that belongs to the text before it.
             [signal] = signals
             agrees = all(frame.raw[signal] == value for value in values)
         else:
@@ -97,10 +97,10 @@ def differences(frame, explanation, example):
         compared.update(signals)
         if not agrees:
             found = ", ".join(f"{signal} {frame.scaled[signal]}" for signal in signals)
-            yield f"{key} should be {' and '.join(map(str, values))}, but is {found}"
+            yield f"expected {key} {' and '.join(map(str, values))}, found {found}"
     if frame.message.frame_id != EITHER_WAY:
         for signal in frame.named.keys() - compared:
-            yield f"{signal} is no field of it"
+            yield f"decode has no field for the signal {signal}"
 
 
 def main(program, vectors):
@@ -111,8 +111,8 @@ def main(program, vectors):
     for direction in ("command", "reply"):
         group = [example for example in examples if example["direction"] == direction]
         text = "".join(example["frame"] + "\n" for example in group)
-        told = run(program, "decode", "--json", "--direction", direction, text=text).splitlines()
-        for example, line in zip(group, told, strict=True):
+        explanations = run(program, "decode", "--json", "--direction", direction, text=text).splitlines()
+        for example, line in zip(group, explanations, strict=True):
             identifier, data = example["frame"].split("#")
             rows += 1
             try:
@@ -128,12 +128,12 @@ def main(program, vectors):
 
     one = {message.frame_id for message in load(program, "--id", "3").messages}
     if one != {0x143, 0x243, 0x403, 0x503, 0x280, 0x300}:
-        sys.exit(f"error: --id 3 gives the identifiers {sorted(map(hex, one))}")
+        sys.exit(f"error: unexpected identifiers with --id 3: {sorted(map(hex, one))}")
     load(program, "--firmware", "v4.4")
     if wrong:
         sys.exit(f"error: {wrong} differences")
     if rows != ROWS:
-        sys.exit(f"error: expected {ROWS} rows")
+        sys.exit(f"error: expected {ROWS} rows, found {rows}")
 
 
 main(*sys.argv[1:])

@@ -1,5 +1,5 @@
 # shellcheck shell=bash
-# Sourced by the scripts next to it: provides the tools that they need.
+# Sourced by the scripts next to it: installs the tools that they need.
 
 die() { echo "error: $*" >&2; exit 1; }
 
@@ -7,20 +7,20 @@ sudo=
 apt_updated=
 apt_update() {
     [[ -z $apt_updated ]] || return 0
-    command -v apt-get >/dev/null || die "there is no apt-get here to install: $*. Install it by hand."
+    command -v apt-get >/dev/null || die "there is no apt-get to install $*. Install it by hand."
     if ((EUID != 0)); then
-        sudo=$(command -v sudo) || die "neither root nor sudo to install: $*. Install it by hand."
+        sudo=$(command -v sudo) || die "installing $* needs root or sudo. Install it by hand."
     fi
-    $sudo apt-get update -q || die "apt-get could not update its lists to install: $*."
+    $sudo apt-get update -q || die "apt-get could not update its lists to install $*."
     apt_updated=yes
 }
 
-# --no-remove: never replace a contributor's own packages by ours.
+# --no-remove: never replace a contributor's own packages.
 apt_options=(-q -y --no-install-recommends --no-remove)
 apt_install() { # packages...
     apt_update "$@"
     $sudo env DEBIAN_FRONTEND=noninteractive apt-get install "${apt_options[@]}" "$@" ||
-        die "apt-get could not install: $*. Install it by hand."
+        die "apt-get could not install $*. Install it by hand."
 }
 
 need() { # program, packages...
@@ -28,8 +28,8 @@ need() { # program, packages...
     command -v "$1" >/dev/null || die "$1 is still missing after installing ${*:2}."
 }
 
-# If a newer qemu-utils is installed, apt-get cannot install an emulator without removing that. Then the emulator is
-# unpacked in a folder, and only what it depends on is installed.
+# If a newer qemu-utils is installed, apt-get cannot install an emulator without removing it. Then the emulator is
+# unpacked in a folder, and only its dependencies are installed.
 need_qemu() { # program, package, folder
     PATH=$PATH:$3/usr/bin
     "$1" --version >/dev/null 2>&1 && return
@@ -39,7 +39,7 @@ need_qemu() { # program, package, folder
         return
     fi
 
-    echo "apt-get cannot install $2 beside the packages that are here: it is unpacked in $3."
+    echo "apt-get cannot install $2 next to the installed packages: it is unpacked in $3."
     # shellcheck disable=SC2046 # several packages
     apt_install --no-upgrade $(apt-cache depends "$2" | awk '$1 == "Depends:" && $2 !~ /^qemu-/ { print $2 }')
     rm -rf "$3" "$3.part"
@@ -54,7 +54,7 @@ need_qemu() { # program, package, folder
     "$1" --version >/dev/null || die "$1, unpacked in $3, does not run. Install it by hand."
 }
 
-# Sets `python`, the folder of an environment with the packages of .ci/requirements.txt; makes it if necessary.
+# Sets `python`, the folder of an environment with the packages of .ci/requirements.txt. Creates it if necessary.
 need_python_env() { # folder
     python=$1
     cmp -s .ci/requirements.txt "$python/requirements.txt" && return
@@ -62,6 +62,6 @@ need_python_env() { # folder
     rm -rf "$python"
     python3 -m venv "$python"
     "$python/bin/pip" install -q --disable-pip-version-check -r .ci/requirements.txt ||
-        die "pip could not install what .ci/requirements.txt names."
+        die "pip could not install the packages of .ci/requirements.txt."
     cp .ci/requirements.txt "$python/"
 }

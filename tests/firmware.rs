@@ -1,7 +1,7 @@
-//! The firmware of the emulated boards, end to end: the image for a board runs in an emulator, with simulated drives on
-//! its bus. Both ends are checked: what the firmware reports, and what the drives heard and did.
+//! End-to-end tests of the firmware of the emulated boards: a board's image runs in an emulator, with simulated drives
+//! on its bus. They check both ends: what the firmware reports, and what the drives received and did.
 //!
-//! These need QEMU and Rust's target for the boards: `cargo test -p myactuator-tests --features emulator --test
+//! They need QEMU and Rust's target for the boards: `cargo test -p myactuator-tests --features emulator --test
 //! firmware`. They run in real time, one after the other.
 
 mod firmware {

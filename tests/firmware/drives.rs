@@ -1,4 +1,4 @@
-//! One drive is not as it should be.
+//! Faults of one drive.
 
 use std::thread;
 use std::time::Duration;
@@ -6,87 +6,95 @@ use std::time::Duration;
 use myactuator_protocol_core::command::{ErrorFlags, VersionDate};
 
 use myactuator_tests::emulator::firmware::Firmware;
-use myactuator_tests::emulator::truth::Look;
+use myactuator_tests::emulator::truth::Sample;
 
-use super::running::{BACK, PATIENCE, Program, WATCHED, go, moving, on, stopped, stops_for};
+use super::running::{
+    Program, RECOVERY, TIMEOUT, WATCH, moving, start_moving, stopped, tests_on, wait_for_trouble,
+};
 
-on! {
+tests_on! {
     two programs:
-    one_that_is_amiss_stops_all
+    one_faulty_drive_stops_all
 }
 
-/// A motor that is silent is given up after 100 ms; then all are stopped.
+/// The firmware gives a silent motor up after 100 ms, and then stops all.
 const SILENCE_STOPS: Duration = Duration::from_millis(250);
-/// A motor that hears nothing stops by itself after 500 ms, which the application has told it.
+/// A motor that receives nothing stops on its own after 500 ms, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
-/// The application looks at each motor's errors every 120 ms.
+/// The application queries each motor's errors every 120 ms.
 const ERROR_STOPS: Duration = Duration::from_millis(300);
 
-/// One thing behind the other: behind each they move again.
-fn one_that_is_amiss_stops_all(program: Program) {
+/// One fault after another; after each the motors move again.
+fn one_faulty_drive_stops_all(program: Program) {
     let mut firmware = moving(program);
-    one_that_is_unplugged_stops_all(&mut firmware);
-    one_that_restarts_stops_all(&mut firmware);
-    one_with_an_error_stops_all_until_that_is_gone(&mut firmware);
+    one_unplugged_drive_stops_all(&mut firmware);
+    one_restarting_drive_stops_all(&mut firmware);
+    one_drive_with_an_error_stops_all_until_it_is_cleared(&mut firmware);
     drop(firmware);
-    one_with_another_firmware_keeps_all_from_moving(program);
+    one_drive_with_another_firmware_keeps_all_from_moving(program);
 }
 
-fn one_that_is_unplugged_stops_all(firmware: &mut Firmware) {
+fn one_unplugged_drive_stops_all(firmware: &mut Firmware) {
     let unplugged = firmware.drives().now();
     let motor_3 = firmware.drive(3).clone();
     firmware.drives().cut(std::slice::from_ref(&motor_3));
-    stops_for(firmware, "Silent { motor: motor 3 }");
-    firmware.wait_for("Stopped { unconfirmed: [3] }", PATIENCE);
-    firmware.wait_for("State(Stopped)", PATIENCE);
+    wait_for_trouble(firmware, "Silent { motor: motor 3 }");
+    firmware.wait_for("Stopped { unconfirmed: [3] }", TIMEOUT);
+    firmware.wait_for("State(Stopped)", TIMEOUT);
     thread::sleep(PROTECTION_STOPS);
-    assert!(!Look::at(&motor_3).is_output_on, "it goes on without a master");
+    assert!(!Sample::at(&motor_3).is_output_on, "motor 3 keeps its output on without a master");
     firmware.drives().mend(std::slice::from_ref(&motor_3));
-    firmware.check_stays_stopped(BACK + WATCHED);
+    firmware.check_stays_stopped(RECOVERY + WATCH);
     let mut moved_for = firmware.truth.moved_for(unplugged);
-    let alone = moved_for.remove(2);
+    let unplugged_for = moved_for.remove(2);
     let silence_stops = firmware.with_stalls(SILENCE_STOPS);
-    if alone > firmware.with_stalls(PROTECTION_STOPS)
+    if unplugged_for > firmware.with_stalls(PROTECTION_STOPS)
         || moved_for.iter().any(|&moved_for| moved_for > silence_stops)
     {
-        firmware.fail(&format!("the unplugged one moved for {alone:?}, the others {moved_for:?}"));
+        firmware.fail(&format!(
+            "expected motor 3 to stop within {PROTECTION_STOPS:?} and the others within \
+             {SILENCE_STOPS:?}; motor 3 moved for {unplugged_for:?}, the others for {moved_for:?}"
+        ));
     }
-    go(firmware);
+    start_moving(firmware);
 }
 
-fn one_that_restarts_stops_all(firmware: &mut Firmware) {
+fn one_restarting_drive_stops_all(firmware: &mut Firmware) {
     let restarted = firmware.drives().now();
     firmware.drives().restart(firmware.drive(2));
-    let told = stops_for(firmware, "");
-    // It may be missed before it is asked how long it has run.
-    let is_known = told.text.contains("Restarted") || told.text.contains("Silent");
-    assert!(is_known && told.number("motor") == Some(2.0), "{told}");
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(BACK + WATCHED);
+    let trouble = wait_for_trouble(firmware, "");
+    // The firmware may find it silent before it queries its run time.
+    let is_known = trouble.text.contains("Restarted") || trouble.text.contains("Silent");
+    assert!(
+        is_known && trouble.number("motor") == Some(2.0),
+        "expected motor 2 restarted or silent, found \"{trouble}\""
+    );
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(RECOVERY + WATCH);
     firmware.check_still(restarted, SILENCE_STOPS);
-    go(firmware);
+    start_moving(firmware);
 }
 
-fn one_with_an_error_stops_all_until_that_is_gone(firmware: &mut Firmware) {
-    let struck = firmware.drives().now();
+fn one_drive_with_an_error_stops_all_until_it_is_cleared(firmware: &mut Firmware) {
+    let raised = firmware.drives().now();
     let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
     firmware.drive(4).with(|drive| drive.raise_fault(flags));
-    stops_for(firmware, "Errors { motor: motor 4,");
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
-    firmware.check_still(struck, ERROR_STOPS);
+    wait_for_trouble(firmware, "Errors { motor: motor 4,");
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(WATCH);
+    firmware.check_still(raised, ERROR_STOPS);
 
     firmware.press();
-    stops_for(firmware, "Errors { motor: motor 4,");
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
-    firmware.check_still(struck, ERROR_STOPS);
+    wait_for_trouble(firmware, "Errors { motor: motor 4,");
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(WATCH);
+    firmware.check_still(raised, ERROR_STOPS);
 
     firmware.drive(4).with(|drive| drive.clear_fault(flags));
-    go(firmware);
+    start_moving(firmware);
 }
 
-fn one_with_another_firmware_keeps_all_from_moving(program: Program) {
+fn one_drive_with_another_firmware_keeps_all_from_moving(program: Program) {
     let mut firmware = stopped(program);
     let replaced = firmware.drives().now();
     let other = VersionDate::from_raw(20_231_201);
@@ -94,9 +102,9 @@ fn one_with_another_firmware_keeps_all_from_moving(program: Program) {
         firmware.fail(&error.to_string());
     }
     firmware.press();
-    let told = stops_for(&mut firmware, "OtherFirmware { motor: motor 2,");
-    assert!(told.text.contains("20231201"), "{told}");
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
+    let trouble = wait_for_trouble(&mut firmware, "OtherFirmware { motor: motor 2,");
+    assert!(trouble.text.contains("20231201"), "expected version 20231201, found \"{trouble}\"");
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(WATCH);
     firmware.check_still(replaced, Duration::ZERO);
 }

@@ -1,4 +1,4 @@
-//! The button, and a firmware that ends.
+//! The button, and firmware that breaks.
 
 use std::thread;
 use std::time::Duration;
@@ -10,71 +10,74 @@ use myactuator_tests::emulator::board::Board;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::panel::Breakage;
 
-use super::running::{DRIVES, PATIENCE, Program, WATCHED, go, millis, moving, on, stops_for};
+use super::running::{
+    DRIVES, Program, TIMEOUT, WATCH, millis, moving, start_moving, tests_on, wait_for_trouble,
+};
 
-on! {
+tests_on! {
     every program:
-    every_end_stops_all_and_tells_its_own_cause
+    every_failure_stops_all_and_reports_its_cause
 }
 
-/// The application looks at the button every millisecond; a stop reaches all motors within some more.
+/// The application polls the button every millisecond. A stop reaches all motors a few milliseconds later.
 const BUTTON_STOPS: Duration = Duration::from_millis(100);
-/// A firmware that panics or faults says its last words at once: on a line each of eight motors is left 5 ms
-/// to answer.
-const LAST_WORDS_STOP: Duration = Duration::from_millis(150);
-/// The watchdog bites after 200 ms, and then the last words are said.
+/// Firmware that panics or faults sends its last stops at once. On RS485 it leaves each of eight motors 5 ms to answer.
+const LAST_STOPS: Duration = Duration::from_millis(150);
+/// The watchdog fires after 200 ms, and then the firmware sends its last stops.
 const WATCHDOG_STOPS: Duration = Duration::from_millis(350);
-/// Where there is no watchdog, motors stop by themselves 500 ms after the last command, which the
-/// application has told them.
+/// Without a watchdog, motors stop on their own 500 ms after the last command, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
 
-/// One behind the other, no two of one cause in a row: the note of one is used up when the next one comes, which has to
-/// make its own.
-fn every_end_stops_all_and_tells_its_own_cause(program: Program) {
+/// One failure after another, and no two in a row with the same cause: a restart consumes the note of its cause, so each
+/// failure has to leave its own.
+fn every_failure_stops_all_and_reports_its_cause(program: Program) {
     let mut firmware = moving(program);
-    ends(&mut firmware, Breakage::Fault, "Fault", LAST_WORDS_STOP);
-    ends(&mut firmware, Breakage::Panic, "Panic", LAST_WORDS_STOP);
-    ends(&mut firmware, Breakage::Overflow, "Fault", LAST_WORDS_STOP);
+    breaks(&mut firmware, Breakage::Fault, "Fault", LAST_STOPS);
+    breaks(&mut firmware, Breakage::Panic, "Panic", LAST_STOPS);
+    breaks(&mut firmware, Breakage::Overflow, "Fault", LAST_STOPS);
     match program.0 {
-        Board::Mps2An386 => ends(&mut firmware, Breakage::Hang, "Watchdog", WATCHDOG_STOPS),
-        // QEMU gives that machine no watchdog.
-        Board::NetduinoPlus2 => ends(&mut firmware, Breakage::Panic, "Panic", LAST_WORDS_STOP),
+        Board::Mps2An386 => breaks(&mut firmware, Breakage::Hang, "Watchdog", WATCHDOG_STOPS),
+        // QEMU's machine has no watchdog.
+        Board::NetduinoPlus2 => breaks(&mut firmware, Breakage::Panic, "Panic", LAST_STOPS),
     }
-    ends(&mut firmware, Breakage::Unexpected, "Fault", LAST_WORDS_STOP);
-    a_button_that_is_held_stops_and_starts_nothing(&mut firmware);
+    breaks(&mut firmware, Breakage::Unexpected, "Fault", LAST_STOPS);
+    holding_the_button_stops_and_starts_nothing(&mut firmware);
     if program.0 == Board::NetduinoPlus2 {
-        a_hang_without_a_watchdog_ends_by_the_drives_protection(&mut firmware);
+        drives_stop_on_their_own_when_firmware_without_a_watchdog_hangs(&mut firmware);
     }
 }
 
-fn a_button_that_is_held_stops_and_starts_nothing(firmware: &mut Firmware) {
+fn holding_the_button_stops_and_starts_nothing(firmware: &mut Firmware) {
     let held = firmware.drives().now();
     firmware.hold();
-    stops_for(firmware, "Button");
-    firmware.wait_for("Stopped { unconfirmed: [] }", PATIENCE);
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
+    wait_for_trouble(firmware, "Button");
+    firmware.wait_for("Stopped { unconfirmed: [] }", TIMEOUT);
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(WATCH);
     firmware.check_still(held, BUTTON_STOPS);
-    go(firmware);
+    start_moving(firmware);
 }
 
-/// All motors were told to stop, and stand still, within the time; after the restart the cause is told, and
-/// nothing moves until the button.
-fn ends(firmware: &mut Firmware, how: Breakage, cause: &str, within: Duration) {
+/// Breaks the firmware. It sends a stop to all motors, and they stand still, within the time. After the restart the
+/// firmware reports the cause, and nothing moves until the button is pressed.
+fn breaks(firmware: &mut Firmware, how: Breakage, cause: &str, within: Duration) {
     let broken = firmware.break_it(how);
     if how == Breakage::Panic {
-        let told = firmware.wait_for("panicked at", PATIENCE);
-        assert!(told.text.ends_with("the panel asked for it"), "{told}");
+        let panic = firmware.wait_for("panicked at", TIMEOUT);
+        assert!(
+            panic.text.ends_with("the panel asked for it"),
+            "expected the panel's panic, found \"{panic}\""
+        );
     }
-    firmware.wait_for(&format!("Started {{ cause: {cause} }}"), PATIENCE);
+    firmware.wait_for(&format!("Started {{ cause: {cause} }}"), TIMEOUT);
     check_stops(firmware, broken, within);
-    firmware.wait_for("State(Stopped)", PATIENCE);
-    firmware.check_stays_stopped(WATCHED);
+    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.check_stays_stopped(WATCH);
     firmware.check_still(broken, within);
-    go(firmware);
+    start_moving(firmware);
 }
 
-/// A stop to all and one to each were on the bus by then.
+/// Fails unless a stop to all and one to each motor were on the bus within the time.
 fn check_stops(firmware: &Firmware, since: Instant, within: Duration) {
     let each = MotorId::all().take(DRIVES.into()).map(Target::Motor);
     for target in each.chain([Target::All]) {
@@ -84,18 +87,20 @@ fn check_stops(firmware: &Firmware, since: Instant, within: Duration) {
         });
         match stop {
             Some(stop) if Duration::from(stop.at - since) <= within => {}
-            Some(stop) => firmware.fail(&format!("{target:?} was stopped at {:?}", stop.at)),
-            None => firmware.fail(&format!("{target:?} was not stopped")),
+            Some(stop) => firmware.fail(&format!(
+                "expected a stop to {target:?} within {within:?} after {since:?}, found one at {:?}",
+                stop.at
+            )),
+            None => firmware.fail(&format!("expected a stop to {target:?}, found none")),
         }
     }
 }
 
-/// The drives look after themselves.
-fn a_hang_without_a_watchdog_ends_by_the_drives_protection(firmware: &mut Firmware) {
+fn drives_stop_on_their_own_when_firmware_without_a_watchdog_hangs(firmware: &mut Firmware) {
     let broken = firmware.break_it(Breakage::Hang);
     thread::sleep(PROTECTION_STOPS + millis(300));
     firmware.check_still(broken, PROTECTION_STOPS);
-    for look in firmware.looks() {
-        assert!(!look.is_output_on, "{look:?}");
+    for sample in firmware.samples() {
+        assert!(!sample.is_output_on, "{sample:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! What the tests have in common: a program of a board, and how it is brought to move its motors.
+//! What the tests share: the boards' programs, and the steps that start and stop their motors.
 
 use std::env;
 use std::fs::File;
@@ -11,21 +11,21 @@ use myactuator_tests::emulator::drives::Adapter;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::log::Line;
 
-/// How many drives there are.
+/// The number of drives.
 pub(crate) const DRIVES: u8 = 4;
-/// Longer than anything takes that has no time of its own.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
-/// How long it is watched that nothing starts by itself: for longer than the firmware, which was stopped by something else,
-/// takes no press of its button, a second since then. Whatever comes late makes it longer.
-pub(crate) const WATCHED: Duration = Duration::from_millis(1_200);
-/// How long motors that were not heard need until they are told to hold again, from which time on the firmware takes no
-/// press for a second: on RS485 four silent motors get one more stop only every 400 ms, and each then answers two
-/// questions of a round of 40 ms.
-pub(crate) const BACK: Duration = Duration::from_millis(700);
-/// At this speed, degrees a second, a movement is well under way: at its fastest it has 30.
+/// For each step without a time limit of its own.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a test watches that nothing starts on its own. After a stop that was not caused by the button, the firmware
+/// ignores the button for one second. This is longer, so that the next press counts even if something came late.
+pub(crate) const WATCH: Duration = Duration::from_millis(1_200);
+/// How long silent motors need, once they are reachable again, until the firmware has sent them a command to hold. From
+/// then on it ignores the button for one second. On RS485 four silent motors get another stop only every 400 ms, and
+/// each then answers two queries of a round of 40 ms.
+pub(crate) const RECOVERY: Duration = Duration::from_millis(700);
+/// From this speed on a movement is well under way, degrees per second. The highest speed of the movement is 30.
 pub(crate) const UNDER_WAY_DPS: f32 = 15.0;
 
-/// A board's program, which is named after its bus.
+/// A board and its program, which is named after its bus.
 pub(crate) type Program = (Board, &'static str);
 
 pub(crate) const MPS2_RS485: Program = (Board::Mps2An386, "rs485");
@@ -34,25 +34,25 @@ pub(crate) const MPS2_RS485_ASYNC: Program = (Board::Mps2An386, "rs485_async");
 pub(crate) const MPS2_CAN_ASYNC: Program = (Board::Mps2An386, "can_async");
 pub(crate) const NETDUINO_RS485: Program = (Board::NetduinoPlus2, "rs485");
 
-/// Makes a test of each function for each program; or for two that have every board, wire and loop between them, where
-/// what is tried is the application's affair, which all of them have in common, and so are tests without an emulator.
-macro_rules! on {
+/// Makes a test of each function for each program. `two programs` is for what only the application decides, which all
+/// programs share and tests without an emulator cover as well: together the two have every board, wire and kind of loop.
+macro_rules! tests_on {
     (every program: $($name:ident)+) => {
-        $crate::firmware::running::on! {
+        $crate::firmware::running::tests_on! {
             MPS2_RS485 as mps2_rs485, MPS2_RS485_ASYNC as mps2_rs485_async, MPS2_CAN as mps2_can,
             MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485: $($name)+
         }
     };
     (two programs: $($name:ident)+) => {
-        $crate::firmware::running::on! {
+        $crate::firmware::running::tests_on! {
             MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485: $($name)+
         }
     };
     ($($program:ident as $module:ident),+: $($name:ident)+) => {
-        $crate::firmware::running::on!(@all [$($program as $module),+] [$($name)+]);
+        $crate::firmware::running::tests_on!(@all [$($program as $module),+] [$($name)+]);
     };
     (@all [$($program:ident as $module:ident),+] $names:tt) => {
-        $($crate::firmware::running::on!(@one $program $module $names);)+
+        $($crate::firmware::running::tests_on!(@one $program $module $names);)+
     };
     (@one $program:ident $module:ident [$($name:ident)+]) => {
         mod $module {
@@ -60,15 +60,17 @@ macro_rules! on {
         }
     };
 }
-pub(crate) use on;
+pub(crate) use tests_on;
 
-/// Tells what this machine could not show: in the file that `NOT_JUDGED` names, of which `.ci/run` tells, or here.
+/// Reports what this machine could not show: in the file that `NOT_JUDGED` names, which `.ci/run` reads, or here.
 pub(crate) fn not_judged(what: &str) {
     let file = env::var_os("NOT_JUDGED");
-    let told = file.map(|file| File::options().create(true).append(true).open(file));
-    match told {
-        Some(Ok(mut file)) => writeln!(file, "{what}").expect("a file that can be written"),
-        Some(Err(error)) => panic!("NOT_JUDGED names no file: {error}"),
+    let opened = file.map(|file| File::options().create(true).append(true).open(file));
+    match opened {
+        Some(Ok(mut file)) => {
+            writeln!(file, "{what}").expect("NOT_JUDGED names a file that can be written")
+        }
+        Some(Err(error)) => panic!("the file that NOT_JUDGED names cannot be opened: {error}"),
         None => println!("NOT JUDGED: {what}"),
     }
 }
@@ -77,48 +79,48 @@ pub(crate) fn millis(millis: u64) -> Duration {
     Duration::from_millis(millis)
 }
 
-/// A firmware that waits for the button.
+/// Firmware that waits for the button.
 pub(crate) fn stopped(program: Program) -> Firmware {
-    stopped_behind(program, Adapter::Kind)
+    stopped_with(program, Adapter::Ideal)
 }
 
-/// The same, behind an adapter.
-pub(crate) fn stopped_behind((board, program): Program, adapter: Adapter) -> Firmware {
+/// The same, with this adapter.
+pub(crate) fn stopped_with((board, program): Program, adapter: Adapter) -> Firmware {
     let fleet = Fleet::new(DRIVES).brakes(true);
     let mut firmware = Firmware::start(board, program, &fleet, adapter);
-    firmware.wait_for("Started { cause: Power }", PATIENCE);
-    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.wait_for("Started { cause: Power }", TIMEOUT);
+    firmware.wait_for("State(Stopped)", TIMEOUT);
     firmware
 }
 
-/// A firmware whose motors are well under way.
+/// Firmware whose motors are well under way.
 pub(crate) fn moving(program: Program) -> Firmware {
     let mut firmware = stopped(program);
-    go(&mut firmware);
+    start_moving(&mut firmware);
     firmware
 }
 
 /// Presses the button, and waits until the motors are well under way.
 #[track_caller]
-pub(crate) fn go(firmware: &mut Firmware) {
+pub(crate) fn start_moving(firmware: &mut Firmware) {
     let pressed = firmware.drives().now();
     firmware.press();
-    firmware.wait_for("State(Running)", PATIENCE);
+    firmware.wait_for("State(Running)", TIMEOUT);
     firmware.wait_until_moving(UNDER_WAY_DPS);
-    // Who takes this for standing still would take anything for it.
+    // A check that misses this motion would pass for any motion.
     if firmware.truth.moved_for(pressed).iter().any(Duration::is_zero) {
-        firmware.fail("nobody has seen the shafts move");
+        firmware.fail("the motors run, but no motion of a shaft was observed");
     }
 }
 
-/// Waits for the trouble that begins so, for which the application stops the motors at once. Gives what it
-/// says of it.
+/// Waits until the application reports a trouble that begins with `trouble`, and stops the motors at once. Returns its
+/// report.
 #[track_caller]
-pub(crate) fn stops_for(firmware: &mut Firmware, trouble: &str) -> Line {
-    let told = firmware.wait_for(&format!("Trouble({trouble}"), PATIENCE);
-    let then = firmware.wait_for("", PATIENCE);
-    if then.text != "State(Stopping)" {
-        firmware.fail(&format!("{told}, then {then}"));
+pub(crate) fn wait_for_trouble(firmware: &mut Firmware, trouble: &str) -> Line {
+    let reported = firmware.wait_for(&format!("Trouble({trouble}"), TIMEOUT);
+    let next = firmware.wait_for("", TIMEOUT);
+    if next.text != "State(Stopping)" {
+        firmware.fail(&format!("after \"{reported}\": expected State(Stopping), found \"{next}\""));
     }
-    told
+    reported
 }

@@ -1,4 +1,4 @@
-//! Runs a board's firmware in the emulator, on a bus of simulated drives, to try it by hand: `cargo emulate mps2_an386
+//! Runs a board's firmware in the emulator on a bus of simulated drives, to try it by hand: `cargo emulate mps2_an386
 //! --bin rs485`.
 
 use std::error::Error;
@@ -16,17 +16,17 @@ use myactuator_tests::emulator::panel::{Breakage, Panel};
 use myactuator_tests::emulator::{Emulated, Failure};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-/// How many drives there are.
+/// The number of drives.
 const DRIVES: u8 = 4;
 
 const KEYS: &str = "\
-Enter presses the button: nothing moves before. \"long\" and Enter is a long press: it shuts the
+Enter presses the button: until then nothing moves. \"long\" and Enter is a long press: it shuts the
 motors down when they are stopped. \"panic\", \"fault\", \"hang\", \"overflow\" and \"unexpected\" break the
 firmware.
-Ctrl-C ends all.";
+Ctrl-C ends everything.";
 
-/// What comes from outside.
-enum Said {
+/// What the user enters.
+enum Input {
     Line(String),
     End,
 }
@@ -45,22 +45,24 @@ fn run() -> Result<(), Box<dyn Error + Send + Sync>> {
     let mut arguments = std::env::args_os().skip(1);
     let (Some(board), Some(image), None) = (arguments.next(), arguments.next(), arguments.next())
     else {
-        return Err("this wants the name of a board and the file of its firmware".into());
+        return Err(
+            "expected two arguments: the name of a board and the file of its firmware".into()
+        );
     };
     let board: Board = board.to_string_lossy().parse()?;
     let image = PathBuf::from(image);
     let program = image.file_name().unwrap_or_default().to_string_lossy();
     let wire = Wire::of_program(&program)?;
 
-    let (say, said) = mpsc::channel();
-    listen(say)?;
+    let (sender, inputs) = mpsc::channel();
+    read_input(sender)?;
     let drives = Drives::new(&Fleet::new(DRIVES).brakes(true), wire)?;
     println!("{board} in QEMU, with {DRIVES} simulated drives on {wire}.\n{KEYS}\n");
     let mut emulated = Emulated::start(board, wire, &image, drives, |line| println!("{line}"))?;
     loop {
-        match said.recv_timeout(Duration::from_millis(100)) {
-            Ok(Said::Line(line)) => obey(line.trim(), &mut emulated.panel)?,
-            Ok(Said::End) | Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
+        match inputs.recv_timeout(Duration::from_millis(100)) {
+            Ok(Input::Line(line)) => run_command(line.trim(), &mut emulated.panel)?,
+            Ok(Input::End) | Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
             Err(mpsc::RecvTimeoutError::Timeout) if emulated.log.is_open() => {}
             Err(mpsc::RecvTimeoutError::Timeout) => {
                 return Err(format!("QEMU has ended: {}", emulated.qemu.complaints()).into());
@@ -69,7 +71,7 @@ fn run() -> Result<(), Box<dyn Error + Send + Sync>> {
     }
 }
 
-fn obey(line: &str, panel: &mut Panel) -> Result<(), Failure> {
+fn run_command(line: &str, panel: &mut Panel) -> Result<(), Failure> {
     match line {
         "" => panel.press(),
         "long" => panel.hold(),
@@ -85,19 +87,19 @@ fn obey(line: &str, panel: &mut Panel) -> Result<(), Failure> {
     }
 }
 
-/// Passes on what is typed, and when to end. The end of the input is no reason to end.
-fn listen(say: Sender<Said>) -> io::Result<()> {
+/// Passes on the lines of standard input, and signals to end. The end of standard input does not end the program.
+fn read_input(sender: Sender<Input>) -> io::Result<()> {
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
-    let end = say.clone();
+    let end = sender.clone();
     thread::spawn(move || {
         if signals.forever().next().is_some() {
-            // Without a receiver it has ended already.
-            let _ = end.send(Said::End);
+            // Without a receiver the program is ending already.
+            let _ = end.send(Input::End);
         }
     });
     thread::spawn(move || {
         for line in io::stdin().lock().lines().map_while(Result::ok) {
-            if say.send(Said::Line(line)).is_err() {
+            if sender.send(Input::Line(line)).is_err() {
                 return;
             }
         }

@@ -1,4 +1,4 @@
-//! Which boards are emulated, how, and where their wires are.
+//! The emulated boards, how QEMU emulates them, and where their wires are.
 
 use std::fmt;
 use std::str::FromStr;
@@ -17,7 +17,7 @@ pub enum Board {
 pub enum Wire {
     /// An RS485 line.
     Rs485,
-    /// CAN, by an SLCAN adapter.
+    /// CAN, through an SLCAN adapter.
     Slcan,
 }
 
@@ -30,7 +30,7 @@ pub(super) enum Port {
 }
 
 impl Board {
-    /// All of them.
+    /// All boards.
     pub const ALL: [Self; 2] = [Self::Mps2An386, Self::NetduinoPlus2];
 
     /// The name of its package.
@@ -41,7 +41,7 @@ impl Board {
         }
     }
 
-    /// QEMU's name for it.
+    /// QEMU's name for the board.
     pub(super) const fn machine(self) -> &'static str {
         match self {
             Self::Mps2An386 => "mps2-an386",
@@ -49,7 +49,7 @@ impl Board {
         }
     }
 
-    /// What its serial ports are connected to, in QEMU's order; `None` if it has no such wire.
+    /// What the serial ports are connected to, in QEMU's order. `None` if the board has no such wire.
     pub(super) const fn ports(self, wire: Wire) -> Option<&'static [Port]> {
         match (self, wire) {
             (Self::Mps2An386, Wire::Rs485) => Some(&[Port::Bus, Port::Nothing, Port::Panel]),
@@ -72,22 +72,22 @@ impl FromStr for Board {
     fn from_str(name: &str) -> Result<Self, String> {
         Self::ALL.into_iter().find(|board| board.name() == name).ok_or_else(|| {
             let names = Self::ALL.map(Self::name).join(", ");
-            format!("no board \"{name}\" is emulated; emulated are: {names}")
+            format!("there is no emulated board \"{name}\"; the emulated boards are: {names}")
         })
     }
 }
 
 impl Wire {
-    /// The wire of a program, which is named after it.
+    /// The wire of a program, which is named after its bus.
     ///
     /// # Errors
-    /// A sentence, for a name that does not contain a wire.
+    /// A sentence, if the name does not begin with a bus.
     pub fn of_program(name: &str) -> Result<Self, String> {
         match name.split('_').next() {
             Some("rs485") => Ok(Self::Rs485),
             Some("can") => Ok(Self::Slcan),
             _ => Err(format!(
-                "a board's program is named after its bus, rs485… or can…, and not \"{name}\""
+                "a board's program is named after its bus, as rs485… or can…, but this is \"{name}\""
             )),
         }
     }
@@ -97,7 +97,7 @@ impl fmt::Display for Wire {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Rs485 => "an RS485 line",
-            Self::Slcan => "a CAN bus behind an SLCAN adapter",
+            Self::Slcan => "a CAN bus with an SLCAN adapter",
         })
     }
 }
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_understood() {
+    fn names_are_parsed() {
         for board in Board::ALL {
             assert_eq!(board.name().parse(), Ok(board));
         }

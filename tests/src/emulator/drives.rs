@@ -1,4 +1,4 @@
-//! The simulated drives: disturbed, and asked what they heard.
+//! The simulated drives, with faults to inject, and the commands that they received.
 
 use std::fmt;
 use std::os::unix::net::UnixStream;
@@ -23,10 +23,10 @@ use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 use super::board::Wire;
 use super::{Failure, urgency};
 
-/// Bits per second, on either wire: what the boards' programs are set to.
+/// Bits per second on either wire: the setting of the boards' programs.
 const BIT_RATE: u32 = 1_000_000;
 
-/// A command that was on the wire completely.
+/// A command that was completely on the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heard {
     /// When it ended.
@@ -37,20 +37,21 @@ pub struct Heard {
 
 type Shared<T> = Arc<Mutex<Vec<T>>>;
 
-/// What is between the firmware and the bus.
+/// The adapter between the firmware and the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Adapter {
-    /// As fast as possible, and sends in order.
-    Kind,
-    /// Hands over what it hears every 2 ms. On RS485 it echoes. On CAN it sends by priority, from three mailboxes, and
-    /// hands a frame back for a more urgent one.
-    Unkind,
+    /// Passes everything on at once, and sends in order.
+    Ideal,
+    /// Passes on what it receives every 2 ms. On RS485 it echoes what it sends. On CAN it sends by priority from three
+    /// mailboxes, and hands a frame back to make room for a more urgent one.
+    Adverse,
 }
 
-/// On RS485 each exchange waits for one. With longer bursts the set-points are so few that shafts move in steps.
+/// The interval of bursts. On RS485 each exchange waits for one. With longer intervals the set-points are so few that
+/// shafts move in steps.
 const BURSTS: Duration = Duration::from_millis(2);
 
-/// Simulated drives, in real time. They stop when this is dropped.
+/// Drives that are simulated in real time. They stop when this is dropped.
 pub struct Drives {
     bus: Arc<dyn Bus>,
     heard: Shared<Heard>,
@@ -60,7 +61,7 @@ pub struct Drives {
 }
 
 struct Running {
-    /// Closed, it stops the server.
+    /// Stops the server when it is closed.
     stop: UnixStream,
     thread: JoinHandle<()>,
 }
@@ -72,10 +73,10 @@ impl fmt::Debug for Drives {
 }
 
 impl Drives {
-    /// These drives, on a wire that is not connected yet.
+    /// Creates these drives on a wire that is not connected yet.
     ///
     /// # Errors
-    /// If they cannot be simulated.
+    /// If the drives cannot be simulated.
     pub fn new(fleet: &Fleet, wire: Wire) -> Result<Self, Failure> {
         let bus: Arc<dyn Bus> = match wire {
             Wire::Rs485 => Arc::new(fleet.on_rs485(BIT_RATE)?),
@@ -85,19 +86,19 @@ impl Drives {
             bus,
             heard: Shared::default(),
             notices: Shared::default(),
-            adapter: Adapter::Kind,
+            adapter: Adapter::Ideal,
             server: None,
         })
     }
 
-    /// The same, behind this adapter.
+    /// The same, with this adapter.
     #[must_use]
-    pub fn behind(mut self, adapter: Adapter) -> Self {
+    pub fn with_adapter(mut self, adapter: Adapter) -> Self {
         self.adapter = adapter;
         self
     }
 
-    /// Connects the other end of the stream to their wire: as the serial port of an RS485 line, or of an SLCAN adapter.
+    /// Connects the stream's other end to the wire: as the serial port of an RS485 line, or of an SLCAN adapter.
     ///
     /// # Errors
     /// The operating system's.
@@ -105,17 +106,17 @@ impl Drives {
         let (stop, stopped) = UnixStream::pair()?;
         let adapter = self.adapter;
         let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
-        // A server stays in the thread that made it.
+        // A server cannot leave the thread that created it.
         let thread = thread::spawn(move || {
             urgency::take();
             let mut server = Server::new();
-            let told = |notice| match notice {
-                // What drives refuse is for the firmware to handle.
+            let record = |notice| match notice {
+                // It is the firmware's task to handle what drives refuse.
                 Notice::Log(_) => {}
                 notice => push(&notices, notice.to_string()),
             };
             let served =
-                bus.serve(&mut server, adapter, stream).and_then(|()| server.run(stopped, told));
+                bus.serve(&mut server, adapter, stream).and_then(|()| server.run(stopped, record));
             if let Err(error) = served {
                 push(&notices, error.to_string());
             }
@@ -124,7 +125,7 @@ impl Drives {
         Ok(())
     }
 
-    /// The drives, in the order of their ids.
+    /// The drives, ordered by id.
     pub fn handles(&self) -> &[DriveHandle] {
         self.bus.handles()
     }
@@ -134,19 +135,19 @@ impl Drives {
         self.bus.now()
     }
 
-    /// What the server reported: simulated time that was skipped because the machine was busy.
+    /// The server's notices: simulated time that it skipped because the machine was busy.
     pub fn notices(&self) -> Vec<String> {
         self.notices.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Takes note of all commands from now on.
+    /// Records all commands from now on.
     pub fn listen(&self) {
         self.bus.listen(Arc::clone(&self.heard));
     }
 
-    /// The commands since then that were [noted](Self::listen), oldest first.
+    /// The [recorded](Self::listen) commands since then, oldest first.
     pub fn heard_since(&self, since: Instant) -> Vec<Heard> {
-        // What is over by now has happened.
+        // Brings the simulation up to the present.
         self.now();
         let heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
         heard.iter().filter(|heard| heard.at >= since).copied().collect()
@@ -167,15 +168,15 @@ impl Drives {
         drives.iter().for_each(|drive| self.bus.mend(drive.station()));
     }
 
-    /// Cycles a drive's power.
+    /// Power-cycles a drive.
     pub fn restart(&self, drive: &DriveHandle) {
         self.bus.restart(drive.station());
     }
 
-    /// Replaces a drive by another, as it comes from the factory except for the date of its software.
+    /// Replaces a drive by one in factory state, with this date of its software.
     ///
     /// # Errors
-    /// Its memory fails.
+    /// If the memory of the new drive fails.
     pub fn replace(&self, drive: &DriveHandle, version_date: VersionDate) -> Result<(), Failure> {
         let now = self.now();
         drive.with(|drive| {
@@ -225,7 +226,7 @@ impl<B: Served> Bus for BusFleet<B> {
         adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError> {
-        if adapter == Adapter::Unkind {
+        if adapter == Adapter::Adverse {
             server.hand_over_every(BURSTS);
         }
         B::serve(self, server, adapter, stream)
@@ -258,12 +259,12 @@ impl<B: Served> Bus for BusFleet<B> {
 
     fn listen(&self, heard: Shared<Heard>) {
         let drives: Vec<StationId> = self.drives.iter().map(DriveHandle::station).collect();
-        let mut ear = B::Ear::default();
+        let mut decoder = B::Decoder::default();
         self.world.observe(move |record| {
             let Event::Carried { frame, .. } = &record.event else { return };
             if !drives.contains(&record.station) {
-                let note = |packet| push(&heard, Heard { at: record.at(), packet });
-                B::hear(&mut ear, frame, note);
+                let report = |packet| push(&heard, Heard { at: record.at(), packet });
+                B::decode(&mut decoder, frame, report);
             }
         });
     }
@@ -271,8 +272,8 @@ impl<B: Served> Bus for BusFleet<B> {
 
 /// A bus that can be served and listened to.
 trait Served: Medium + Sized {
-    /// What was heard of a command so far.
-    type Ear: Default + Send + 'static;
+    /// The received part of a command.
+    type Decoder: Default + Send + 'static;
 
     fn serve(
         fleet: &BusFleet<Self>,
@@ -280,11 +281,11 @@ trait Served: Medium + Sized {
         adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError>;
-    fn hear(ear: &mut Self::Ear, frame: &Self::Frame, note: impl FnMut(Packet));
+    fn decode(decoder: &mut Self::Decoder, frame: &Self::Frame, report: impl FnMut(Packet));
 }
 
 impl Served for Rs485Line {
-    type Ear = Receiver;
+    type Decoder = Receiver;
 
     fn serve(
         fleet: &BusFleet<Self>,
@@ -292,21 +293,21 @@ impl Served for Rs485Line {
         adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError> {
-        let echo = adapter == Adapter::Unkind;
+        let echo = adapter == Adapter::Adverse;
         server.serve_line_on(fleet, TransceiverConfig { echo, ..Default::default() }, stream)
     }
 
-    fn hear(ear: &mut Receiver, bytes: &Vec<u8>, mut note: impl FnMut(Packet)) {
+    fn decode(decoder: &mut Receiver, bytes: &Vec<u8>, mut report: impl FnMut(Packet)) {
         for &byte in bytes {
-            if let Fed::Frame(frame) = ear.feed(byte) {
-                note(frame.as_command());
+            if let Fed::Frame(frame) = decoder.feed(byte) {
+                report(frame.as_command());
             }
         }
     }
 }
 
 impl Served for CanBus {
-    type Ear = ();
+    type Decoder = ();
 
     fn serve(
         fleet: &BusFleet<Self>,
@@ -316,15 +317,17 @@ impl Served for CanBus {
     ) -> Result<(), ServeError> {
         server.host_can(fleet);
         let controller = match adapter {
-            Adapter::Kind => ControllerConfig { transmit_queue: 64, ..ControllerConfig::SOCKETCAN },
-            Adapter::Unkind => ControllerConfig::MAILBOXES,
+            Adapter::Ideal => {
+                ControllerConfig { transmit_queue: 64, ..ControllerConfig::SOCKETCAN }
+            }
+            Adapter::Adverse => ControllerConfig::MAILBOXES,
         };
         server.serve_adapter_on(fleet, controller, stream)
     }
 
-    fn hear((): &mut (), frame: &SimpleFrame, mut note: impl FnMut(Packet)) {
+    fn decode((): &mut (), frame: &SimpleFrame, mut report: impl FnMut(Packet)) {
         if let can::Received::Packet(packet) = can::decode(frame) {
-            note(packet);
+            report(packet);
         }
     }
 }

@@ -12,14 +12,14 @@ use super::panel::Panel;
 use super::qemu::Qemu;
 use super::socket::Waiting;
 
-/// A board that runs, and the drives that it moves. All end when this is dropped.
+/// A running board, and the drives that it moves. Everything ends when this is dropped.
 #[derive(Debug)]
 pub struct Emulated {
-    /// What the firmware reports.
+    /// The log of the firmware.
     pub log: Log,
     /// The button.
     pub panel: Panel,
-    /// The drives. They end before the emulator, which would otherwise be missing for them.
+    /// The drives. They end before the emulator: otherwise they would report it as lost.
     pub drives: Drives,
     /// The emulator.
     pub qemu: Qemu,
@@ -27,22 +27,22 @@ pub struct Emulated {
 }
 
 impl Emulated {
-    /// Starts a board with these drives. Calls `tell` with each line that the firmware logs.
+    /// Starts a board with these drives. Calls `on_line` with each line that the firmware logs.
     ///
     /// # Errors
-    /// What is missing, and how to get it.
+    /// A sentence: what is missing, and how to get it.
     pub fn start(
         board: Board,
         wire: Wire,
         image: &Path,
         mut drives: Drives,
-        tell: impl FnMut(&Line) + Send + 'static,
+        on_line: impl FnMut(&Line) + Send + 'static,
     ) -> Result<Self, Failure> {
         let folder = tempfile::tempdir()?;
         let [bus, panel] = ["bus", "panel"].map(|name| folder.path().join(name));
         let (bus_end, panel_end) = (Waiting::at(&bus)?, Waiting::at(&panel)?);
         let (qemu, output) = Qemu::start(board, wire, image, &bus, &panel)?;
-        let log = Log::decode(image, output, tell)?;
+        let log = Log::decode(image, output, on_line)?;
         let connect = |end: Waiting| {
             end.connect(|| log.is_open()).map_err(|error| format!("{error}: {}", qemu.complaints()))
         };

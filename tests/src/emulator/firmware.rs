@@ -1,4 +1,4 @@
-//! A board's firmware, its drives, and checks of both ends.
+//! A board's firmware with its drives, and checks of both ends.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -12,45 +12,45 @@ use super::drives::{Adapter, Drives};
 use super::image;
 use super::log::{Line, Mark, Second};
 use super::panel::Breakage;
-use super::truth::{Look, Truth};
+use super::truth::{Sample, Truth};
 use super::urgency::{REPLY_TIMEOUT, Stalls};
 use super::{Emulated, Failure};
 
-/// They run in real time, so several at once would be late.
+/// Tests run in real time. Several at once would delay each other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// A drive confirms a stop before its shaft has come to rest.
+/// How long a shaft may still move after its drive has confirmed a stop.
 const COMES_TO_REST: Duration = Duration::from_millis(20);
-/// The application runs a cycle each millisecond. If this many of a second are missing, the emulator stood still.
+/// The application runs a cycle each millisecond. If so many cycles of a second are missing, the emulator stood still.
 const CYCLES: u32 = 1_000;
 const STOOD_STILL: u32 = 15;
-/// Lines of the log that are shown when something is wrong.
+/// The number of lines of the log that a failure shows.
 const TAIL: usize = 40;
 
-/// A firmware that runs. Everything ends when this is dropped.
+/// Running firmware. Everything ends when this is dropped.
 ///
-/// Its methods panic if a test has failed, with the end of the log.
+/// If a check fails, the methods panic with the end of the log.
 #[derive(Debug)]
 pub struct Firmware {
     emulated: Emulated,
-    /// What the shafts really did.
+    /// The true motion of the shafts.
     pub truth: Truth,
-    /// How often the machine was busy with something else.
+    /// How long the machine was busy with other work.
     pub stalls: Stalls,
     /// The point up to which the log was read.
     read: Mark,
-    /// The cycles that the application last reported.
+    /// The cycles that the application reported last.
     cycles: u32,
-    /// Replies that were too late because the emulator stood still or was slow.
+    /// The number of replies that may have been late because the emulator stood still or was slow.
     stood_still: usize,
     _alone: MutexGuard<'static, ()>,
 }
 
 impl Firmware {
-    /// Starts a board's program, which is named after its bus, with these drives, behind this adapter.
+    /// Starts a board's program, which is named after its bus, with these drives and this adapter.
     ///
     /// # Panics
-    /// If it does not start: what is missing, and how to get it.
+    /// If the program does not start: what is missing, and how to get it.
     pub fn start(board: Board, program: &str, fleet: &Fleet, adapter: Adapter) -> Self {
         let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         match Self::try_start(board, program, fleet, adapter, alone) {
@@ -68,7 +68,7 @@ impl Firmware {
     ) -> Result<Self, Failure> {
         let wire = Wire::of_program(program)?;
         let image = image::find(board, program)?;
-        let drives = Drives::new(fleet, wire)?.behind(adapter);
+        let drives = Drives::new(fleet, wire)?.with_adapter(adapter);
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
         // Before the emulator starts, since they have the same priority.
@@ -78,7 +78,7 @@ impl Firmware {
         Ok(Self { emulated, truth, stalls, read, cycles: 0, stood_still: 0, _alone: alone })
     }
 
-    /// The drives that it moves.
+    /// The drives on the bus.
     pub fn drives(&self) -> &Drives {
         &self.emulated.drives
     }
@@ -95,14 +95,14 @@ impl Firmware {
         self.expect(pressed);
     }
 
-    /// Holds the button until that is a long press.
+    /// Holds the button for a long press.
     #[track_caller]
     pub fn hold(&mut self) {
         let held = self.emulated.panel.hold();
         self.expect(held);
     }
 
-    /// Breaks the firmware. Returns when, on the drives' clock.
+    /// Breaks the firmware. Returns the time on the drives' clock.
     pub fn break_it(&mut self, how: Breakage) -> Instant {
         let now = self.emulated.drives.now();
         let broken = self.emulated.panel.break_it(how);
@@ -116,7 +116,7 @@ impl Firmware {
         self.expect(is_on)
     }
 
-    /// The next line of the log that begins with `text`; those before it are skipped.
+    /// Waits for the next line of the log that begins with `text`, and skips those before it.
     #[track_caller]
     pub fn wait_for(&mut self, text: &str, within: Duration) -> Line {
         match self.emulated.log.wait(self.read, within, |line| line.text.starts_with(text)) {
@@ -124,62 +124,63 @@ impl Firmware {
                 self.read = read;
                 line
             }
-            None => self.fail(&format!("the firmware does not say \"{text}\" within {within:?}")),
+            None => self
+                .fail(&format!("expected the log line \"{text}\" within {within:?}, found none")),
         }
     }
 
-    /// The next second that the application reports.
+    /// Waits for the application's next report of a second.
     #[track_caller]
     pub fn wait_for_second(&mut self) -> Second {
         let line = self.wait_for("Second", Duration::from_secs(3));
         let Some(second) = line.second() else {
-            self.fail(&format!("this is no second: {line}"));
+            self.fail(&format!("expected the report of a second, found \"{line}\""));
         };
-        // They start again with each motion.
+        // The count starts again with each motion.
         let before = if self.cycles < second.cycles { self.cycles } else { 0 };
         let missing = CYCLES.saturating_sub(second.cycles - before);
         if missing >= STOOD_STILL {
-            // A master repeats a command after this many milliseconds, so each of these may cost a reply.
+            // A master repeats a command after this time-out, so each time-out may cost a reply.
             let late = missing / REPLY_TIMEOUT.as_millis() as u32 + 1;
-            // The set-point of each drive, and the question that one of them is asked besides.
+            // In flight are the set-point of each drive, and a query of one of them.
             self.stood_still += late as usize * (self.drives().handles().len() + 1);
         }
         self.cycles = second.cycles;
         second
     }
 
-    /// How many replies may have come too late so far because the machine was busy with something else, or the emulator
-    /// itself stood still.
+    /// How many replies may have been late so far because the machine was busy with other work, or the emulator itself
+    /// stood still.
     pub fn excused(&self) -> usize {
         self.stalls.excused() + self.stood_still
     }
 
-    /// The lines that were not read yet. They stay so.
+    /// The lines that were not read yet. They stay unread.
     pub fn unread(&self) -> Vec<Line> {
         self.emulated.log.since(self.read)
     }
 
-    /// All lines from the start.
+    /// All lines since the start.
     pub fn reports(&self) -> Vec<Line> {
         self.emulated.log.since(Mark::default())
     }
 
-    /// Skips the log until now.
+    /// Skips the log so far.
     pub fn skip(&mut self) {
         self.read = self.emulated.log.mark();
     }
 
-    /// Fails unless the log could be read without a gap.
+    /// Fails unless the whole log could be decoded.
     #[track_caller]
     pub fn check_log(&self) {
         let garbled = self.emulated.log.garbled();
         if garbled > 0 {
-            self.fail(&format!("{garbled} lines of the log cannot be read"));
+            self.fail(&format!("{garbled} frames of the log cannot be decoded"));
         }
     }
 
-    /// Waits until all shafts turn faster than this, by their mean speed, and returns when that was. If set-points are
-    /// few, shafts move in steps.
+    /// Waits until the mean speed of all shafts is above this, and returns the time. It is the mean speed because shafts
+    /// move in steps if set-points are few.
     #[track_caller]
     pub fn wait_until_moving(&self, speed_dps: f32) -> Instant {
         let until = WallTime::now() + Duration::from_secs(4);
@@ -189,31 +190,36 @@ impl Firmware {
             }
             thread::sleep(Duration::from_millis(2));
         }
-        self.fail(&format!("not all motors turn at {speed_dps} degrees a second"))
+        self.fail(&format!(
+            "expected all shafts above {speed_dps} degrees per second, found {:?}",
+            self.truth.mean_dps()
+        ))
     }
 
-    /// The state of all drives now.
-    pub fn looks(&self) -> Vec<Look> {
-        self.drives().handles().iter().map(Look::at).collect()
+    /// The state of each drive now.
+    pub fn samples(&self) -> Vec<Sample> {
+        self.drives().handles().iter().map(Sample::at).collect()
     }
 
-    /// This, and the longest time for which the machine was busy with something else.
+    /// This time plus the longest time for which the machine was busy with other work.
     pub fn with_stalls(&self, within: Duration) -> Duration {
         within + self.stalls.longest()
     }
 
-    /// Fails unless all these shafts stood still from this long after `since` until now. The delay of the machine
-    /// itself is added to that. Call it a while after that.
+    /// Fails unless all shafts have stood still since `within` after `since`, plus the delay of the machine itself. Call
+    /// this some time later, so that it sees a shaft that moves too long.
     #[track_caller]
     pub fn check_still(&self, since: Instant, within: Duration) {
         let (moved_for, within) = (self.truth.moved_for(since), self.with_stalls(within));
         if moved_for.iter().any(|&moved_for| moved_for > within) {
-            self.fail(&format!("shafts moved for {moved_for:?}, which is longer than {within:?}"));
+            self.fail(&format!(
+                "expected shafts to stop within {within:?}, they moved for {moved_for:?}"
+            ));
         }
     }
 
-    /// Fails unless nothing moves in the next `span`, except for the moment in which shafts come to rest, and the
-    /// application starts nothing.
+    /// Fails unless nothing moves in the next `span`, except for the time in which shafts come to rest, and the
+    /// application reports nothing.
     #[track_caller]
     pub fn check_stays_stopped(&mut self, span: Duration) {
         self.skip();
@@ -222,21 +228,22 @@ impl Firmware {
         self.check_still(since, COMES_TO_REST);
         if !self.unread().is_empty() {
             self.fail(&format!(
-                "nobody has pressed the button, yet the firmware says: {:?}",
+                "expected no log line, as the button was not pressed, found {:?}",
                 self.unread()
             ));
         }
     }
 
-    /// Fails, and shows what there is to see.
+    /// Fails, and shows the log, the drives and the delays of the machine.
     #[track_caller]
     pub fn fail(&self, what: &str) -> ! {
         let Emulated { log, qemu, drives, .. } = &self.emulated;
-        let ended = if log.is_open() { "" } else { ", and the emulator has ended" };
-        let looks: String = self.looks().iter().map(|look| format!("  {look:?}\n")).collect();
+        let ended = if log.is_open() { "" } else { " (the emulator has ended)" };
+        let samples: String =
+            self.samples().iter().map(|sample| format!("  {sample:?}\n")).collect();
         panic!(
-            "{what}\nthe end of the log{ended}:\n{}drives:\n{looks}simulation: {:?}\nemulator: {:?}\n\
-             this machine kept threads waiting for up to {:?}: that excuses {} lost replies",
+            "{what}\nthe end of the log{ended}:\n{}drives:\n{samples}simulation: {:?}\nemulator: {:?}\n\
+             this machine kept threads waiting for up to {:?}, which excuses {} lost replies",
             log.tail(TAIL),
             drives.notices(),
             qemu.complaints(),

@@ -1,4 +1,4 @@
-//! The firmware's file: found, or built.
+//! The image file of the firmware, found or built.
 
 use std::env;
 use std::fs;
@@ -12,24 +12,24 @@ use super::{Failure, target_dir};
 
 /// The target of the boards' firmware.
 const TARGET: &str = "thumbv7em-none-eabihf";
-/// Names a folder of firmware that is built already, as BOARD/PROGRAM.
+/// The environment variable that names a folder of built firmware, as BOARD/PROGRAM.
 const FOLDER: &str = "FIRMWARE_DIR";
 
-/// The file of a board's program: that in the folder that the environment variable
-/// `FIRMWARE_DIR` names, as `BOARD/PROGRAM`, or one that Cargo builds now.
+/// Returns the file of a board's program. If the environment variable `FIRMWARE_DIR` names a folder, this is
+/// `BOARD/PROGRAM` in it. Otherwise Cargo builds it now.
 ///
 /// # Errors
-/// What is missing, and how to get it.
+/// A sentence: what is missing, and how to get it.
 pub fn find(board: Board, program: &str) -> Result<PathBuf, Failure> {
     let Some(folder) = env::var_os(FOLDER) else { return build(board, program) };
     let file = Path::new(&folder).join(board.name()).join(program);
     if !file.is_file() {
-        return Err(format!("{FOLDER} names a folder without {board}/{program}").into());
+        return Err(format!("the folder that {FOLDER} names has no {board}/{program}").into());
     }
     Ok(file)
 }
 
-/// Builds it, and copies it to a place where another board's program of the same name does not replace it.
+/// Builds the program, and copies it to where another board's program of the same name does not replace it.
 fn build(board: Board, program: &str) -> Result<PathBuf, Failure> {
     need_target()?;
     let output = cargo()
@@ -45,9 +45,9 @@ fn build(board: Board, program: &str) -> Result<PathBuf, Failure> {
     let built = String::from_utf8(output.stdout)?
         .lines()
         .filter_map(|line| serde_json::from_str::<Value>(line).ok())
-        .filter(|told| told["target"]["name"] == program)
-        .find_map(|told| told["executable"].as_str().map(PathBuf::from))
-        .ok_or_else(|| format!("Cargo does not say where it has built {program} of {board}"))?;
+        .filter(|message| message["target"]["name"] == program)
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .ok_or_else(|| format!("Cargo does not report where it has built {program} of {board}"))?;
     let folder = target_dir().join("emulated").join(board.name());
     fs::create_dir_all(&folder)?;
     let file = folder.join(program);
@@ -72,8 +72,8 @@ fn need_target() -> Result<(), Failure> {
         return Ok(());
     }
     Err(format!(
-        "Rust's library for {TARGET} is missing: `rustup target add {TARGET}` brings it, or run \
-         .ci/run, which knows another way"
+        "Rust's library for {TARGET} is missing: install it with `rustup target add {TARGET}`, or \
+         run .ci/run, which has another way"
     )
     .into())
 }

@@ -14,11 +14,11 @@ use super::Failure;
 /// A line of the log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// When it came.
+    /// When it arrived.
     pub came: Instant,
-    /// The firmware's clock then, if it is logged.
+    /// The firmware's time stamp, if it logs one.
     pub at: Option<Duration>,
-    /// What it says.
+    /// The message.
     pub text: String,
 }
 
@@ -31,14 +31,14 @@ impl fmt::Display for Line {
     }
 }
 
-/// The report of a running application every second.
+/// The report that a running application logs every second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Second {
-    /// Cycles since the motors began to run.
+    /// The cycles since the motors began to run.
     pub cycles: u32,
-    /// How many of them began late.
+    /// How many of the cycles began late.
     pub overruns: u32,
-    /// Answered set-points of the motor with the fewest, in this second.
+    /// The answered set-points in this second, of the motor with the fewest.
     pub slowest: u32,
     /// Commands that got no reply in time since the motors began to run.
     pub lost: u32,
@@ -46,7 +46,7 @@ pub struct Second {
     pub stack: u32,
     /// The most that was queued for the loop since the start, in bytes.
     pub queued: u32,
-    /// What was lost on the board since the start, in bytes.
+    /// The bytes lost on the board since the start.
     pub dropped: u32,
 }
 
@@ -59,7 +59,7 @@ impl Line {
         number.split(|c| !is_of_number(c)).next()?.parse().ok()
     }
 
-    /// Its report of a second, if it is one.
+    /// The report of a second, if the line is one.
     pub fn second(&self) -> Option<Second> {
         if !self.text.starts_with("Second") {
             return None;
@@ -78,31 +78,31 @@ impl Line {
 }
 
 #[derive(Debug, Default)]
-struct Told {
+struct Entries {
     lines: Vec<Line>,
-    /// Frames that could not be read.
+    /// The number of frames that could not be decoded.
     garbled: usize,
-    /// Nothing more will come.
+    /// The log has ended.
     is_over: bool,
 }
 
-/// All that a firmware has logged. Clones share it.
+/// Everything that the firmware has logged. Clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Log(Arc<(Mutex<Told>, Condvar)>);
+pub struct Log(Arc<(Mutex<Entries>, Condvar)>);
 
-/// A place in a log.
+/// A position in a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Mark(usize);
 
 impl Log {
-    /// Decodes what comes from `source` until it ends; calls `tell` with each line.
+    /// Decodes `source` until it ends, and calls `on_line` with each line.
     ///
     /// # Errors
     /// If the image's file does not describe its log.
     pub fn decode(
         image: &Path,
         mut source: impl Read + Send + 'static,
-        mut tell: impl FnMut(&Line) + Send + 'static,
+        mut on_line: impl FnMut(&Line) + Send + 'static,
     ) -> Result<Self, Failure> {
         let table = Table::parse(&std::fs::read(image)?)
             .map_err(|error| format!("{}: {error}", image.display()))?
@@ -114,7 +114,7 @@ impl Log {
             let mut chunk = [0; 4096];
             while let Ok(length @ 1..) = source.read(&mut chunk) {
                 decoder.received(chunk.get(..length).unwrap_or_default());
-                writer.take(decoder.as_mut(), &mut tell);
+                writer.take(decoder.as_mut(), &mut on_line);
             }
             writer.lock().is_over = true;
             writer.0.1.notify_all();
@@ -122,7 +122,7 @@ impl Log {
         Ok(log)
     }
 
-    fn take(&self, decoder: &mut dyn StreamDecoder, tell: &mut dyn FnMut(&Line)) {
+    fn take(&self, decoder: &mut dyn StreamDecoder, on_line: &mut dyn FnMut(&Line)) {
         loop {
             let read = match decoder.decode() {
                 Ok(frame) => {
@@ -134,42 +134,42 @@ impl Log {
                 Err(DecodeError::Malformed) => None,
             };
             if let Some(line) = &read {
-                tell(line);
+                on_line(line);
             }
-            let mut told = self.lock();
+            let mut entries = self.lock();
             match read {
-                Some(line) => told.lines.push(line),
-                None => told.garbled += 1,
+                Some(line) => entries.lines.push(line),
+                None => entries.garbled += 1,
             }
             self.0.1.notify_all();
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Told> {
+    fn lock(&self) -> MutexGuard<'_, Entries> {
         self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Here.
+    /// The end of the log so far.
     pub fn mark(&self) -> Mark {
         Mark(self.lock().lines.len())
     }
 
-    /// Everything after a mark.
+    /// The lines after a mark.
     pub fn since(&self, mark: Mark) -> Vec<Line> {
         self.lock().lines.get(mark.0..).unwrap_or_default().to_vec()
     }
 
-    /// How many frames could not be read.
+    /// The number of frames that could not be decoded.
     pub fn garbled(&self) -> usize {
         self.lock().garbled
     }
 
-    /// Whether the firmware can still log anything.
+    /// Whether the firmware can still log.
     pub fn is_open(&self) -> bool {
         !self.lock().is_over
     }
 
-    /// The first line after `mark` that satisfies the condition, with the mark after it. Waits for that.
+    /// Waits for the first line after `mark` that satisfies the condition. Returns it with the mark after it.
     pub fn wait(
         &self,
         mark: Mark,
@@ -177,32 +177,33 @@ impl Log {
         is_it: impl Fn(&Line) -> bool,
     ) -> Option<(Line, Mark)> {
         let until = Instant::now() + within;
-        let mut told = self.lock();
+        let mut entries = self.lock();
         let mut next = mark.0;
         loop {
-            while let Some(line) = told.lines.get(next) {
+            while let Some(line) = entries.lines.get(next) {
                 next += 1;
                 if is_it(line) {
                     return Some((line.clone(), Mark(next)));
                 }
             }
             let left = until.saturating_duration_since(Instant::now());
-            if told.is_over || left.is_zero() {
+            if entries.is_over || left.is_zero() {
                 return None;
             }
-            (told, _) = self.0.1.wait_timeout(told, left).unwrap_or_else(PoisonError::into_inner);
+            (entries, _) =
+                self.0.1.wait_timeout(entries, left).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
-    /// The last lines, as a person reads them.
+    /// The last lines, as text.
     pub fn tail(&self, lines: usize) -> String {
-        let told = self.lock();
-        let skipped = told.lines.len().saturating_sub(lines);
-        told.lines.iter().skip(skipped).map(|line| format!("  {line}\n")).collect()
+        let entries = self.lock();
+        let skipped = entries.lines.len().saturating_sub(lines);
+        entries.lines.iter().skip(skipped).map(|line| format!("  {line}\n")).collect()
     }
 }
 
-/// A time stamp: seconds, with a point.
+/// A time stamp in seconds, with a decimal point.
 fn seconds(text: &str) -> Option<Duration> {
     Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()
 }
@@ -222,7 +223,7 @@ mod tests {
         assert_eq!(measured.number("angle"), Some(-1_250.0));
         assert_eq!(measured.number("speed"), None);
         assert_eq!(measured.second(), None);
-        let told = "Second { cycles: 3000, overruns: 2, slowest: 214, lost: 1, stack: 1736, \
+        let report = "Second { cycles: 3000, overruns: 2, slowest: 214, lost: 1, stack: 1736, \
                     queued: 26, dropped: 3 }";
         let expected = Second {
             cycles: 3_000,
@@ -233,6 +234,6 @@ mod tests {
             queued: 26,
             dropped: 3,
         };
-        assert_eq!(line(told).second(), Some(expected));
+        assert_eq!(line(report).second(), Some(expected));
     }
 }

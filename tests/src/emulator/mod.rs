@@ -12,20 +12,20 @@
 //!
 //! | module | for |
 //! |---|---|
-//! | [`board`] | which boards are emulated, how, and where their wires are |
-//! | [`image`](mod@image) | the firmware's file: found, or built |
+//! | [`board`] | the emulated boards, how QEMU emulates them, and where their wires are |
+//! | [`image`](mod@image) | the image file of the firmware, found or built |
 //! | [`qemu`] | the emulator's process |
 //! | [`panel`] | the button, and ways to break the firmware |
-//! | [`log`] | what the firmware logs |
-//! | [`drives`] | the simulated drives: disturbed, and asked what they heard |
+//! | [`log`] | the log of the firmware |
+//! | [`drives`] | the simulated drives, with faults to inject, and the commands that they received |
 //! | [`truth`] | where the shafts really were, and when they stood still |
-//! | [`urgency`] | the priority of all of this |
+//! | [`urgency`] | real-time priority, and how long the machine kept threads waiting |
 //! | [`Emulated`] | a board with its drives |
-//! | [`firmware`] | that, with checks of both ends, for tests |
+//! | [`firmware`] | a board with its drives, and checks of both ends, for tests |
 //!
-//! Emulated time is real time, and tests wait in real time. The bus is a socket and not a pseudo-terminal, although the
-//! drives have one for programs: Linux hands a pseudo-terminal's bytes over in a thread of its own, which on a busy
-//! machine comes milliseconds late.
+//! Emulated time is real time, and tests wait in real time. The bus is a socket, although simulated drives can also use
+//! a pseudo-terminal: Linux passes on a pseudo-terminal's bytes in a thread of its own, which on a busy machine runs
+//! milliseconds late.
 
 pub mod board;
 pub mod drives;
@@ -43,14 +43,14 @@ use std::path::PathBuf;
 
 pub use emulated::Emulated;
 
-/// Why firmware cannot be emulated: a sentence for the user.
+/// The reason why firmware cannot be emulated: a sentence for the user.
 pub type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-/// Where the workspace builds.
+/// The folder in which the workspace is built.
 pub fn target_dir() -> PathBuf {
     let workspace = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
     match std::env::var_os("CARGO_TARGET_DIR") {
-        // Cargo takes it as relative to the directory of the call, which was the workspace.
+        // A relative path is relative to the directory in which Cargo was called: the workspace.
         Some(folder) => PathBuf::from(workspace).join(folder),
         None => PathBuf::from(workspace).join("target"),
     }

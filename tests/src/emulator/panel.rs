@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use super::Failure;
 
-/// How long a short press lasts.
+/// The length of a short press.
 const SHORT: Duration = Duration::from_millis(80);
-/// How long a long press lasts. For the application, one second is long.
+/// The length of a long press. The application takes one second for long.
 const LONG: Duration = Duration::from_millis(1_300);
 
 /// A way to break the firmware.
@@ -39,7 +39,7 @@ impl Panel {
         Self { socket, is_light_on: false }
     }
 
-    /// Presses the button and lets go.
+    /// Presses the button and releases it.
     ///
     /// # Errors
     /// If the emulator has ended.
@@ -47,7 +47,7 @@ impl Panel {
         self.press_for(SHORT)
     }
 
-    /// Holds the button until that is a long press, and lets go.
+    /// Holds the button for a long press, and releases it.
     ///
     /// # Errors
     /// If the emulator has ended.
@@ -84,17 +84,20 @@ impl Panel {
     /// # Errors
     /// If the emulator has ended.
     pub fn is_light_on(&mut self) -> Result<bool, Failure> {
-        let mut told = [0; 64];
+        let mut received = [0; 64];
         loop {
-            match self.socket.read(&mut told) {
-                Ok(0) => return Err("the emulator has gone".into()),
+            match self.socket.read(&mut received) {
+                Ok(0) => return Err("the emulator has ended".into()),
                 Ok(length) => {
-                    for byte in told.iter().take(length) {
+                    for byte in received.iter().take(length) {
                         match byte {
                             b'L' => self.is_light_on = true,
                             b'l' => self.is_light_on = false,
                             other => {
-                                return Err(format!("the panel was told {other:#04X}").into());
+                                return Err(format!(
+                                    "expected b'L' or b'l' for the light, received {other:#04X}"
+                                )
+                                .into());
                             }
                         }
                     }

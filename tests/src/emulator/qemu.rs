@@ -13,9 +13,9 @@ use super::{Failure, target_dir};
 
 const NAME: &str = "qemu-system-arm";
 
-/// Runs the emulator until its standard input is closed: it ends with this process, however that ends. Its standard
-/// output ends with it. It has priority over all ordinary processes, if that is allowed. It leaves Ctrl-C in a terminal
-/// to others.
+/// Runs the emulator until standard input is closed, so that the emulator ends whenever this process ends. Standard
+/// output ends with the emulator. The emulator has priority over all ordinary processes, if the system allows that. The
+/// script ignores Ctrl-C in a terminal.
 const KEEPER: &str = r#"
     trap '' INT HUP TERM
     if chrt --rr 1 true 2>/dev/null; then set -- chrt --rr 1 "$@"; fi
@@ -34,27 +34,27 @@ pub struct Qemu {
     complaints: Arc<Mutex<String>>,
 }
 
-/// Where the emulator is.
+/// Returns the path of the emulator.
 ///
 /// # Errors
-/// It is missing, and how to get it.
+/// A sentence: the emulator is missing, and how to get it.
 pub fn find() -> Result<PathBuf, Failure> {
     let path = env::var_os("PATH").unwrap_or_default();
-    // Where apt-get cannot install it, .ci/run unpacks it there.
+    // If apt-get cannot install the emulator, .ci/run unpacks it there.
     let unpacked = target_dir().join("qemu/usr/bin");
     let places = env::split_paths(&path).chain([unpacked]);
     places.map(|folder| folder.join(NAME)).find(|file| file.is_file()).ok_or_else(|| {
         format!(
             "{NAME} is missing: install it (Debian's package has the same name), or run .ci/run, \
-             which brings it"
+             which installs it"
         )
         .into()
     })
 }
 
 impl Qemu {
-    /// Starts a board with this firmware, its bus and its panel on sockets that somebody listens at. What
-    /// the firmware tells comes out of the second of the two.
+    /// Starts a board with this firmware. Its bus and its panel connect to the sockets at these paths, which must be
+    /// listening. Also returns the stream of the firmware's log.
     ///
     /// # Errors
     /// A sentence.
@@ -65,7 +65,7 @@ impl Qemu {
         bus: &Path,
         panel: &Path,
     ) -> Result<(Self, ChildStdout), Failure> {
-        let ports = board.ports(wire).ok_or_else(|| format!("{board} has no way to {wire}"))?;
+        let ports = board.ports(wire).ok_or_else(|| format!("{board} has no port for {wire}"))?;
         let mut keeper = Command::new("/bin/sh")
             .args(["-c", KEEPER, "sh"])
             .arg(find()?)
@@ -105,7 +105,7 @@ impl Qemu {
         Ok((Self { stdin: keeper.stdin.take(), keeper, complaints }, stdout))
     }
 
-    /// What it complained of so far.
+    /// What the emulator has written to standard error so far.
     pub fn complaints(&self) -> String {
         self.complaints.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -114,7 +114,7 @@ impl Qemu {
 impl Drop for Qemu {
     fn drop(&mut self) {
         drop(self.stdin.take());
-        // It has nothing else to do than to end.
+        // With its input closed, all it does is to end.
         let _ = self.keeper.wait();
     }
 }

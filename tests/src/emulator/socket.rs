@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use super::Failure;
 
-/// How long the emulator has for its start.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// How long the emulator may take to start.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// A socket without a connection so far.
+/// A socket that waits for its connection.
 #[derive(Debug)]
 pub(super) struct Waiting(UnixListener);
 
@@ -22,10 +22,10 @@ impl Waiting {
         Ok(Self(listener))
     }
 
-    /// The stream of the first connection. Gives up if the other side has ended.
-    pub(super) fn connect(self, is_alive: impl Fn() -> bool) -> Result<UnixStream, Failure> {
+    /// Waits for the first connection and returns its stream. Gives up if the emulator has ended.
+    pub(super) fn connect(self, is_running: impl Fn() -> bool) -> Result<UnixStream, Failure> {
         let start = Instant::now();
-        while start.elapsed() < PATIENCE && is_alive() {
+        while start.elapsed() < TIMEOUT && is_running() {
             match self.0.accept() {
                 Ok((stream, _)) => {
                     stream.set_nonblocking(true)?;
@@ -37,6 +37,6 @@ impl Waiting {
                 Err(error) => return Err(error.into()),
             }
         }
-        Err("the emulator does not start".into())
+        Err("the emulator has not connected to its socket".into())
     }
 }

@@ -10,30 +10,30 @@ use myactuator_protocol_core::time::Instant;
 
 use super::urgency;
 
-/// How often the shafts are looked at.
+/// The interval of the samples.
 const INTERVAL: Duration = Duration::from_millis(2);
-/// A shaft that turns slower than this stands still, degrees per second: a held shaft trembles within
-/// the last step of its encoder.
+/// A shaft that turns slower than this stands still, degrees per second. A held shaft oscillates within one step of its
+/// encoder.
 const STILL_DPS: f32 = 1.0;
-/// The span of a mean speed: some set-points, even where they are few.
+/// The time over which a mean speed is taken. It includes several set-points, even where they are few.
 const MEAN_OVER: Duration = Duration::from_millis(100);
 
-/// A drive at a moment.
+/// The state of a drive at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
-    /// When.
+pub struct Sample {
+    /// The time.
     pub at: Instant,
     /// True angle of the output shaft, degrees.
     pub angle_deg: f32,
-    /// True speed of the motor's side of the gear, in the output's degrees per second: what a drive can stop. After
-    /// that the output still crosses the gear's play for a while.
+    /// True speed of the motor's side of the gear, in the output's degrees per second. This is what a drive can stop.
+    /// The output then still moves for a while within the backlash of the gear.
     pub motor_side_speed_dps: f32,
     /// Whether the drive's output is on.
     pub is_output_on: bool,
 }
 
-impl Look {
-    /// At a drive, now.
+impl Sample {
+    /// The state of a drive now.
     pub fn at(drive: &DriveHandle) -> Self {
         drive.with(|drive| Self {
             at: drive.clock(),
@@ -43,94 +43,94 @@ impl Look {
         })
     }
 
-    /// Whether the shaft stands still, except for the gear's play.
+    /// Whether the shaft stands still, except for the backlash.
     pub fn is_still(&self) -> bool {
         self.motor_side_speed_dps.abs() < STILL_DPS
     }
 }
 
-/// Watches all shafts until it is dropped.
+/// Samples all shafts until it is dropped.
 #[derive(Debug)]
 pub struct Truth {
-    looks: Arc<Mutex<Vec<Vec<Look>>>>,
+    samples: Arc<Mutex<Vec<Vec<Sample>>>>,
     is_over: Arc<AtomicBool>,
     observer: Option<JoinHandle<()>>,
 }
 
 impl Truth {
-    /// Begins.
+    /// Starts sampling these drives.
     pub fn observe(drives: Vec<DriveHandle>) -> Self {
-        let looks = Arc::new(Mutex::new(vec![Vec::new(); drives.len()]));
+        let samples = Arc::new(Mutex::new(vec![Vec::new(); drives.len()]));
         let is_over = Arc::<AtomicBool>::default();
-        let (all, until) = (Arc::clone(&looks), Arc::clone(&is_over));
+        let (all, until) = (Arc::clone(&samples), Arc::clone(&is_over));
         let observer = thread::spawn(move || {
             urgency::take();
             while !until.load(Ordering::Relaxed) {
                 {
                     let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                     for (of_drive, drive) in all.iter_mut().zip(&drives) {
-                        let look = Look::at(drive);
-                        if of_drive.last().is_none_or(|last: &Look| last.at < look.at) {
-                            of_drive.push(look);
+                        let sample = Sample::at(drive);
+                        if of_drive.last().is_none_or(|last: &Sample| last.at < sample.at) {
+                            of_drive.push(sample);
                         }
                     }
                 }
                 thread::sleep(INTERVAL);
             }
         });
-        Self { looks, is_over, observer: Some(observer) }
+        Self { samples, is_over, observer: Some(observer) }
     }
 
-    /// What was seen of each drive from `since` to `until`.
-    pub fn between(&self, since: Instant, until: Instant) -> Vec<Vec<Look>> {
-        let all = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
-        let within = |look: &&Look| look.at >= since && look.at < until;
-        all.iter().map(|looks| looks.iter().filter(within).copied().collect()).collect()
+    /// The samples of each drive from `since` to `until`.
+    pub fn between(&self, since: Instant, until: Instant) -> Vec<Vec<Sample>> {
+        let all = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        let within = |sample: &&Sample| sample.at >= since && sample.at < until;
+        all.iter().map(|samples| samples.iter().filter(within).copied().collect()).collect()
     }
 
-    /// How long after `since` each shaft still moved, except for the gear's play, as far as seen.
+    /// How long after `since` the last sample is in which each shaft moved, except for the backlash.
     ///
     /// # Panics
-    /// If the watching has ended: then nothing would ever have moved.
+    /// If sampling has ended: then every shaft would seem to stand still.
     pub fn moved_for(&self, since: Instant) -> Vec<Duration> {
         self.check_observed();
         let all = self.between(since, Instant::from_micros(u64::MAX));
-        let last = |looks: &Vec<Look>| {
-            let moving = looks.iter().rfind(|look| !look.is_still());
-            moving.map_or(Duration::ZERO, |look| (look.at - since).into())
+        let last = |samples: &Vec<Sample>| {
+            let moving = samples.iter().rfind(|sample| !sample.is_still());
+            moving.map_or(Duration::ZERO, |sample| (sample.at - since).into())
         };
         all.iter().map(last).collect()
     }
 
-    /// How fast each shaft was in the last tenth of a second, degrees per second, as a mean.
+    /// The mean speed of each shaft in the last tenth of a second, degrees per second.
     ///
     /// # Panics
-    /// If the watching has ended.
+    /// If sampling has ended.
     pub fn mean_dps(&self) -> Vec<f32> {
         self.check_observed();
-        let all = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
-        let mean = |looks: &Vec<Look>| {
-            let last = looks.last()?;
-            let within = |look: &&Look| last.at - look.at <= MEAN_OVER.into();
-            let first = looks.iter().rev().take_while(within).last()?;
+        let all = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        let mean = |samples: &Vec<Sample>| {
+            let last = samples.last()?;
+            let within = |sample: &&Sample| last.at - sample.at <= MEAN_OVER.into();
+            let first = samples.iter().rev().take_while(within).last()?;
             let seconds = Duration::from(last.at - first.at).as_secs_f32();
-            // Nothing yet if there was only one look.
+            // One sample has no mean speed.
             (seconds > 0.0).then(|| (last.angle_deg - first.angle_deg) / seconds)
         };
-        all.iter().map(|looks| mean(looks).unwrap_or(0.0)).collect()
+        all.iter().map(|samples| mean(samples).unwrap_or(0.0)).collect()
     }
 
     fn check_observed(&self) {
         let is_observed = self.observer.as_ref().is_some_and(|observer| !observer.is_finished());
-        assert!(is_observed, "nobody looks at the shafts any more");
+        assert!(is_observed, "the thread that samples the shafts has ended");
     }
 
     /// The smallest and the largest angle of each shaft from `since` to `until`, degrees.
     pub fn reached_deg(&self, since: Instant, until: Instant) -> Vec<(f32, f32)> {
         let all = self.between(since, until);
-        let reached = |looks: &Vec<Look>| {
-            looks.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), look| {
-                (least.min(look.angle_deg), most.max(look.angle_deg))
+        let reached = |samples: &Vec<Sample>| {
+            samples.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), sample| {
+                (least.min(sample.angle_deg), most.max(sample.angle_deg))
             })
         };
         all.iter().map(reached).collect()

@@ -1,4 +1,4 @@
-//! Real-time scheduling, if the system grants it, and how often the processor was busy with other work.
+//! Real-time priority, if the system allows it, and how long the machine kept threads waiting.
 //!
 //! Emulator and simulation have to answer each other within a millisecond. Both are threads among others, on a machine
 //! that may itself be a guest.
@@ -11,13 +11,14 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 
-/// A thread that wakes this late was kept waiting.
+/// A thread that wakes this late was kept waiting by the machine.
 const LATE: Duration = Duration::from_millis(15);
-/// A master tries again when no reply has come for this long. So a wait costs one reply for each of these, and one for
-/// the rest.
+/// A master repeats a command after this time without a reply. So a wait costs one reply for each of these time-outs,
+/// and one for the rest.
 pub(super) const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
 
-/// Gives this thread priority over all ordinary ones, if that is allowed. What it starts from now on is ordinary.
+/// Gives this thread priority over all ordinary ones, if the system allows it. Threads and processes that it starts from
+/// now on are ordinary.
 pub(super) fn take() {
     let changed = Command::new("chrt")
         .args(["--reset-on-fork", "--rr", "--pid", "1"])
@@ -26,12 +27,12 @@ pub(super) fn take() {
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .status();
-    // Not allowed, or no such program: then the tests need a machine that does nothing else.
+    // If it is not allowed, or `chrt` is missing, the tests need a machine that does nothing else.
     drop(changed);
 }
 
-/// Counts how often threads were kept waiting by the machine's other work, with one thread on each processor. Ends when
-/// it is dropped.
+/// Measures how long the machine's other work kept threads waiting, with one thread on each processor. Ends when it is
+/// dropped.
 #[derive(Debug)]
 pub struct Stalls {
     found: Arc<Found>,
@@ -46,7 +47,7 @@ struct Found {
 }
 
 impl Stalls {
-    /// Begins.
+    /// Starts measuring.
     pub(super) fn count() -> Self {
         let found = Arc::<Found>::default();
         let ours = sched_getaffinity(None).unwrap_or_default();
@@ -58,12 +59,12 @@ impl Stalls {
         Self { observers: processors.map(observer).collect(), found }
     }
 
-    /// How many replies may have come too late because of that so far.
+    /// How many replies may have been late so far because of such waits.
     pub fn excused(&self) -> usize {
         self.found.excused.load(Ordering::Relaxed)
     }
 
-    /// The longest wait.
+    /// The longest wait so far.
     pub fn longest(&self) -> Duration {
         Duration::from_micros(self.found.longest_us.load(Ordering::Relaxed))
     }
@@ -73,7 +74,7 @@ impl Found {
     fn observe(&self, processor: usize) {
         let mut alone = CpuSet::new();
         alone.set(processor);
-        // If that is not allowed, it observes whatever processor it runs on.
+        // If this is not allowed, the thread observes the processor that it happens to run on.
         let _ = sched_setaffinity(None, &alone);
         take();
         let pause = Duration::from_millis(1);
