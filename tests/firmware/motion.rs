@@ -12,7 +12,7 @@ use myactuator_tests::fleet::state;
 
 use super::running::{
     DRIVES, MPS2_CAN, MPS2_CAN_ASYNC, MPS2_RS485, MPS2_RS485_ASYNC, NETDUINO_RS485, Program,
-    TIMEOUT, WATCH, not_judged, stopped, tests_on, wait_for_trouble,
+    TIMEOUT, WATCH, judge, not_judged, stopped, tests_on, wait_for_trouble,
 };
 
 tests_on! {
@@ -176,31 +176,31 @@ mod nothing_is_lost_in_ten_minutes {
     #[test]
     #[ignore = "takes ten minutes"]
     fn of_mps2_rs485() {
-        nothing_is_lost(MPS2_RS485, 600);
+        judge(|| nothing_is_lost(MPS2_RS485, 600));
     }
 
     #[test]
     #[ignore = "takes ten minutes"]
     fn of_mps2_rs485_async() {
-        nothing_is_lost(MPS2_RS485_ASYNC, 600);
+        judge(|| nothing_is_lost(MPS2_RS485_ASYNC, 600));
     }
 
     #[test]
     #[ignore = "takes ten minutes"]
     fn of_mps2_can() {
-        nothing_is_lost(MPS2_CAN, 600);
+        judge(|| nothing_is_lost(MPS2_CAN, 600));
     }
 
     #[test]
     #[ignore = "takes ten minutes"]
     fn of_mps2_can_async() {
-        nothing_is_lost(MPS2_CAN_ASYNC, 600);
+        judge(|| nothing_is_lost(MPS2_CAN_ASYNC, 600));
     }
 
     #[test]
     #[ignore = "takes ten minutes"]
     fn of_netduino_rs485() {
-        nothing_is_lost(NETDUINO_RS485, 600);
+        judge(|| nothing_is_lost(NETDUINO_RS485, 600));
     }
 }
 

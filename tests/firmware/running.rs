@@ -3,6 +3,8 @@
 use std::env;
 use std::fs::File;
 use std::io::Write as _;
+use std::panic::{self, AssertUnwindSafe};
+use std::thread;
 use std::time::Duration;
 
 use myactuator_host_std::sim::Fleet;
@@ -10,6 +12,7 @@ use myactuator_tests::emulator::board::Board;
 use myactuator_tests::emulator::drives::Adapter;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::log::Line;
+use myactuator_tests::emulator::urgency;
 
 /// The number of drives.
 pub(crate) const DRIVES: u8 = 4;
@@ -56,11 +59,28 @@ macro_rules! tests_on {
     };
     (@one $program:ident $module:ident [$($name:ident)+]) => {
         mod $module {
-            $(#[test] fn $name() { super::$name($crate::firmware::running::$program); })+
+            $(#[test] fn $name() {
+                use $crate::firmware::running;
+                running::judge(|| super::$name(running::$program));
+            })+
         }
     };
 }
 pub(crate) use tests_on;
+
+/// Runs a test. A failure counts as not judged if the machine was slower than the firmware tolerates.
+pub(crate) fn judge(test: impl FnOnce()) {
+    let Err(failure) = panic::catch_unwind(AssertUnwindSafe(test)) else { return };
+    let longest = urgency::longest_in_this_test();
+    if !urgency::excuses_failure(longest) {
+        panic::resume_unwind(failure);
+    }
+    let text = failure.downcast_ref::<String>().map(String::as_str);
+    let text = text.or(failure.downcast_ref::<&str>().copied()).unwrap_or_default();
+    let (thread, first) = (thread::current(), text.lines().next().unwrap_or_default());
+    let test = thread.name().unwrap_or_default();
+    not_judged(&format!("{test}: this machine kept threads waiting for {longest:?}: {first}"));
+}
 
 /// Reports what this machine could not show: in the file that `NOT_JUDGED` names, which `.ci/run` reads, or here.
 pub(crate) fn not_judged(what: &str) {

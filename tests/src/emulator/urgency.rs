@@ -3,6 +3,7 @@
 //! Emulator and simulation have to answer each other within a millisecond. Both are threads among others, on a machine
 //! that may itself be a guest.
 
+use std::cell::Cell;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -13,9 +14,28 @@ use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 
 /// A thread that wakes this late was kept waiting by the machine.
 const LATE: Duration = Duration::from_millis(15);
+/// The longest wait that the firmware tolerates: the emulated boards report their bus as down if a port sends nothing
+/// for longer.
+const TOLERATED: Duration = Duration::from_millis(20);
 /// A master repeats a command after this time without a reply. So a wait costs one reply for each of these time-outs,
 /// and one for the rest.
 pub(super) const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
+
+thread_local! {
+    /// The longest wait in any [`Stalls`] that this thread has dropped.
+    static LONGEST: Cell<Duration> = const { Cell::new(Duration::ZERO) };
+}
+
+/// Whether a test that failed has shown nothing about the firmware, because the machine kept threads waiting for up to
+/// `longest` while it ran.
+pub fn excuses_failure(longest: Duration) -> bool {
+    longest > TOLERATED
+}
+
+/// The longest wait while this thread had firmware running. Each test has a thread of its own.
+pub fn longest_in_this_test() -> Duration {
+    LONGEST.get()
+}
 
 /// Gives this thread priority over all ordinary ones, if the system allows it. Threads and processes that it starts from
 /// now on are ordinary.
@@ -97,6 +117,23 @@ impl Drop for Stalls {
         for observer in self.observers.drain(..) {
             // A panic there has been reported already.
             let _ = observer.join();
+        }
+        LONGEST.set(LONGEST.get().max(self.longest()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_counts_unless_the_machine_was_slower_than_the_firmware_tolerates() {
+        for (longest_ms, is_excused) in [(0, false), (20, false), (21, true), (100, true)] {
+            assert_eq!(
+                excuses_failure(Duration::from_millis(longest_ms)),
+                is_excused,
+                "{longest_ms}"
+            );
         }
     }
 }
