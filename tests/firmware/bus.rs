@@ -47,8 +47,9 @@ fn faults_of_the_bus_cause_no_wrong_motion(program: Program) {
     a_bus_that_is_cut_for_a_second_stops_all_until_the_button(&mut firmware);
 }
 
-/// The firmware continues, or it stops and reports why. In both cases the shafts stay in range. If it continues, returns
-/// how many replies it lost. `origins` is where the movement of each motor began, degrees: where it stood at the press.
+/// The firmware continues, or it stops and reports why. In both cases the shafts stay in range. If it continues,
+/// returns how many replies it lost. `origins` is where the movement of each motor began, degrees: where it stood at
+/// the press.
 fn run_with_faults(
     firmware: &mut Firmware,
     plan: FaultPlan,

@@ -28,8 +28,8 @@ const WATCHDOG_STOPS: Duration = Duration::from_millis(350);
 /// Without a watchdog, motors stop on their own 500 ms after the last command, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
 
-/// One failure after another, and no two in a row with the same cause: a restart consumes the note of its cause, so each
-/// failure has to leave its own.
+/// One failure after another, and no two in a row with the same cause: a restart consumes the note of its cause, so
+/// each failure has to leave its own.
 fn every_failure_stops_all_and_reports_its_cause(program: Program) {
     let mut firmware = moving(program);
     breaks(&mut firmware, Breakage::Fault, "Fault", LAST_STOPS);

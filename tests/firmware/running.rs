@@ -37,8 +37,9 @@ pub(crate) const MPS2_RS485_ASYNC: Program = (Board::Mps2An386, "rs485_async");
 pub(crate) const MPS2_CAN_ASYNC: Program = (Board::Mps2An386, "can_async");
 pub(crate) const NETDUINO_RS485: Program = (Board::NetduinoPlus2, "rs485");
 
-/// Makes a test of each function for each program. `two programs` is for what only the application decides, which all
-/// programs share and tests without an emulator cover as well: together the two have every board, wire and kind of loop.
+/// Makes a test of each function for each program. `two programs` is for what only the application decides: all
+/// programs share it, and tests without an emulator cover it as well. The two have every board, wire and kind of loop
+/// between them.
 macro_rules! tests_on {
     (every program: $($name:ident)+) => {
         $crate::firmware::running::tests_on! {

@@ -179,8 +179,8 @@ impl Firmware {
         }
     }
 
-    /// Waits until the mean speed of all shafts is above this, and returns the time. It is the mean speed because shafts
-    /// move in steps if set-points are few.
+    /// Waits until the mean speed of all shafts is above this, and returns the time. It is the mean speed because
+    /// shafts move in steps if set-points are few.
     #[track_caller]
     pub fn wait_until_moving(&self, speed_dps: f32) -> Instant {
         let until = WallTime::now() + Duration::from_secs(4);
@@ -206,8 +206,8 @@ impl Firmware {
         within + self.stalls.longest()
     }
 
-    /// Fails unless all shafts have stood still since `within` after `since`, plus the delay of the machine itself. Call
-    /// this some time later, so that it sees a shaft that moves too long.
+    /// Fails unless all shafts have stood still since `within` after `since`, plus the delay of the machine itself.
+    /// Call this some time later, so that it sees a shaft that moves too long.
     #[track_caller]
     pub fn check_still(&self, since: Instant, within: Duration) {
         let (moved_for, within) = (self.truth.moved_for(since), self.with_stalls(within));

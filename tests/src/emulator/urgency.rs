@@ -37,8 +37,8 @@ pub fn longest_in_this_test() -> Duration {
     LONGEST.get()
 }
 
-/// Gives this thread priority over all ordinary ones, if the system allows it. Threads and processes that it starts from
-/// now on are ordinary.
+/// Gives this thread priority over all ordinary ones, if the system allows it. Threads and processes that it starts
+/// from now on are ordinary.
 pub(super) fn take() {
     let changed = Command::new("chrt")
         .args(["--reset-on-fork", "--rr", "--pid", "1"])
