@@ -190,20 +190,21 @@ mod tests {
         drop(is);
         let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
         let case = format!("mode {mode:?}, {slips_after_ms} ms: {outcome:?}");
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{case}") };
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{case}") };
         assert!(
-            told.ends_with("it is open again, and the motor holds: do not switch it off"),
+            message.ends_with("it is open again, and the motor holds: do not switch it off"),
             "{case}"
         );
         let is = drive.lock().unwrap();
-        let locked = is.told.iter().position(|byte| *byte == 0x78).unwrap();
-        let mut then = is.told[locked..].iter().copied().filter(|byte| matches!(byte, 0x76..=0x81));
+        let locked = is.received.iter().position(|byte| *byte == 0x78).unwrap();
+        let mut then =
+            is.received[locked..].iter().copied().filter(|byte| matches!(byte, 0x76..=0x81));
         assert_eq!([then.next(), then.next(), then.next()], [0x78, 0x77, 0x81].map(Some), "{case}");
         assert!(is.is_open, "{case}");
     }
 
     #[test]
-    fn what_a_slipping_brake_lets_go_is_held_again_whenever_that_is_seen() {
+    fn motor_holds_its_load_again_whenever_its_brake_is_seen_to_slip() {
         for slips_after_ms in [100, 300] {
             is_held_again(Some(3), slips_after_ms);
             // All that is known is that it draws a current.
@@ -211,37 +212,37 @@ mod tests {
         }
     }
 
-    /// If the motor does not confirm the release, it is tried once more.
+    /// The brake slips, so it is released for the motor to hold the load; the drive ignores the first three tries.
     #[test]
-    fn a_brake_that_may_be_open_again_is_not_left_so() {
+    fn brake_whose_release_is_not_confirmed_is_released_once_more() {
         let (fleet, drive) = odd_drive::alone();
         let mut is = drive.lock().unwrap();
         (is.mode, is.is_open, is.ignored_releases) = (Some(3), true, 3);
         is.slips_after = Some(Duration::from_millis(100));
         drop(is);
         let outcome = lock(&mut Session::on(&fleet), MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("not confirmed that it is open again"), "{told}");
-        assert!(told.contains("motor 1 is stopped and holds still (0x81)"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("not confirmed that it is open again"), "{message}");
+        assert!(message.contains("motor 1 is stopped and holds still (0x81)"), "{message}");
         assert!(drive.lock().unwrap().is_open);
     }
 
     #[test]
-    fn a_motor_that_held_nothing_is_not_told_to_behind_a_brake_that_slips() {
+    fn idle_motor_gets_no_brake_release_when_its_brake_slips() {
         let (fleet, drive) = odd_drive::alone();
         let mut is = drive.lock().unwrap();
         (is.mode, is.is_open) = (Some(0), true);
         is.slips_after = Some(Duration::from_millis(300));
         drop(is);
-        let Err(Unfinished::Failed(told)) = lock(&mut Session::on(&fleet), MotorId::MIN) else {
+        let Err(Unfinished::Failed(message)) = lock(&mut Session::on(&fleet), MotorId::MIN) else {
             panic!("it slips");
         };
-        assert!(told.ends_with("does not hold: the shaft turns at 50 dps"), "{told}");
-        assert!(!drive.lock().unwrap().told.contains(&0x77));
+        assert!(message.ends_with("does not hold: the shaft turns at 50 dps"), "{message}");
+        assert!(!drive.lock().unwrap().received.contains(&0x77));
     }
 
     #[test]
-    fn a_brake_that_says_lock_after_an_acknowledged_release_is_no_failure() {
+    fn brake_reported_locked_after_acknowledged_release_is_no_failure() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
         let fleet = Fleet::new(1).brakes(true).quirks(quirks).on_can(1_000_000).unwrap();
         let log = fleet.world.log();

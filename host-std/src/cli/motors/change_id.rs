@@ -105,8 +105,8 @@ mod tests {
     fn one_of_several_gets_another_id_by_function_5() {
         let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
-        let told = failed(run_on(&mut session, None, id(7)));
-        assert!(told.ends_with("(there are: 1 2 3)"), "{told}");
+        let message = failed(run_on(&mut session, None, id(7)));
+        assert!(message.ends_with("(there are: 1 2 3)"), "{message}");
         let taken = failed(run_on(&mut session, Some(id(2)), id(3)));
         assert_eq!(taken, "a motor with id 3 is on the bus already");
         let log = fleet.world.log();
@@ -121,13 +121,13 @@ mod tests {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = turning(&fleet);
         let log = fleet.world.log();
-        let told = failed(change(&mut session, id(1), id(7)));
-        assert!(told.contains("turns at 1"), "{told}");
+        let message = failed(change(&mut session, id(1), id(7)));
+        assert!(message.contains("turns at 1"), "{message}");
         assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
     }
 
     #[test]
-    fn a_drive_that_does_not_acknowledge_function_5_is_told_by_0x79_if_it_is_alone() {
+    fn drive_that_ignores_function_5_gets_its_id_by_0x79_only_if_alone() {
         let fleet = |count| {
             let fleet =
                 Fleet::new(count).quirks(Quirks { silent_id_change: true, ..Quirks::default() });
@@ -136,13 +136,16 @@ mod tests {
         assert_eq!(run_on(&mut Session::on(&fleet(1)), None, id(7)), Ok(()));
         let fleet = fleet(2);
         let log = fleet.world.log();
-        let told = failed(run_on(&mut Session::on(&fleet), Some(id(1)), id(7)));
-        assert!(told.contains("it was not restarted, and is off: connect it alone"), "{told}");
+        let message = failed(run_on(&mut Session::on(&fleet), Some(id(1)), id(7)));
+        assert!(
+            message.contains("it was not restarted, and is off: connect it alone"),
+            "{message}"
+        );
         assert!(sent(&log).iter().all(|packet| ![0x76, 0x79].contains(&packet.data[0])));
     }
 
     #[test]
-    fn the_firmware_that_answers_as_the_new_and_hears_the_old_gets_its_id() {
+    fn firmware_that_answers_as_new_id_but_hears_the_old_gets_its_id() {
         // Firmware 2025070202.
         let quirks =
             Quirks { repeats_last_reply: true, answers_as_new_id: true, ..Quirks::default() };
@@ -152,35 +155,35 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_takes_no_id_is_not_restarted() {
+    fn drive_that_acknowledges_no_new_id_is_not_restarted() {
         let (fleet, drive) = odd_drive::alone();
-        let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
+        let message = failed(run_on(&mut Session::on(&fleet), None, id(7)));
         assert!(
-            told.starts_with("motor 1 has not acknowledged id 7, so it was not restarted"),
-            "{told}"
+            message.starts_with("motor 1 has not acknowledged id 7, so it was not restarted"),
+            "{message}"
         );
-        assert!(!drive.lock().unwrap().told.contains(&0x76));
+        assert!(!drive.lock().unwrap().received.contains(&0x76));
     }
 
     #[test]
-    fn nothing_is_written_to_two_motors_of_one_id_on_a_line() {
+    fn new_id_is_not_written_to_two_motors_of_one_id_on_rs485() {
         let fleet = Fleet::new(2).all_with_id(id(1)).on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        let told = failed(run_on(&mut session, Some(id(1)), id(7)));
+        let message = failed(run_on(&mut session, Some(id(1)), id(7)));
         let is_refused =
-            ["two motors seem to have", "no motor answers"].iter().any(|why| told.contains(why));
-        assert!(is_refused, "{told}");
+            ["two motors seem to have", "no motor answers"].iter().any(|why| message.contains(why));
+        assert!(is_refused, "{message}");
         for drive in &fleet.drives {
             assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1));
         }
     }
 
     #[test]
-    fn nothing_is_written_to_two_motors_of_one_id() {
+    fn new_id_is_not_written_to_two_motors_of_one_id_on_can() {
         let fleet = Fleet::new(2).all_with_id(id(1)).on_can(1_000_000).unwrap();
         let log = fleet.world.log();
-        let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
-        assert!(told.contains("two motors seem to have id 1"), "{told}");
+        let message = failed(run_on(&mut Session::on(&fleet), None, id(7)));
+        assert!(message.contains("two motors seem to have id 1"), "{message}");
         assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
     }
 }

@@ -178,7 +178,7 @@ mod tests {
     use crate::cli::{Outcome, Unfinished};
 
     #[test]
-    fn nobody_gives_way_who_moves_nothing() {
+    fn program_that_moves_nothing_ignores_a_stop_by_another_master() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let stop = to_first([0x80, 0, 0, 0, 0, 0, 0, 0]);
         OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(10)));
@@ -190,29 +190,29 @@ mod tests {
     }
 
     #[test]
-    fn ones_own_stop_that_is_confirmed_twice_is_nobody_elses() {
+    fn own_stop_confirmed_twice_is_not_taken_for_that_of_another_master() {
         let twice = "duplicate=1@from-drives".parse().unwrap();
         let fleet = Fleet::new(1).faults([twice]).on_can(1_000_000).unwrap();
         let outcome: Outcome = Session::on(&fleet).moving(MotorId::MIN, |session| {
             session.stop(StopKind::Hold, MotorId::MIN.into())?;
             Err(Unfinished::Failed("made up".to_owned()))
         });
-        let told = "made up; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
-        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
+        let message = "made up; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
+        assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
     }
 
     #[test]
-    fn replies_that_nobody_asked_for_tell_who_else_is_there() {
+    fn stray_replies_show_what_another_master_commands() {
         let motor = MotorId::new(3).unwrap();
-        let told = |first| deed(&Event::Stray { motor, data: [first, 0, 0, 0, 0, 0, 0, 0] });
+        let deed_of = |first| deed(&Event::Stray { motor, data: [first, 0, 0, 0, 0, 0, 0, 0] });
         // 3: the reply of motion mode. 0x72 and 0x73: V4.4 moves by them.
         for first in [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 3, 0x72, 0x73] {
-            assert_eq!(told(first), Some((motor, Deed::Moved)), "{first:02X}");
+            assert_eq!(deed_of(first), Some((motor, Deed::Moved)), "{first:02X}");
         }
-        assert_eq!(told(0x80), Some((motor, Deed::Stopped(StopKind::Off))));
-        assert_eq!(told(0x81), Some((motor, Deed::Stopped(StopKind::Hold))));
+        assert_eq!(deed_of(0x80), Some((motor, Deed::Stopped(StopKind::Off))));
+        assert_eq!(deed_of(0x81), Some((motor, Deed::Stopped(StopKind::Hold))));
         for first in [0x9A, 0x9C, 0x92, 0x77, 0x78, 4, 0xC0] {
-            assert_eq!(told(first), None, "{first:02X}");
+            assert_eq!(deed_of(first), None, "{first:02X}");
         }
     }
 }

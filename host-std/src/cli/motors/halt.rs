@@ -218,12 +218,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whoever_cannot_open_the_bus_is_told_that_nobody_was_stopped() {
-        for told in [stop, shut_down].map(|halt| halt(&typed("--bus rs485:/dev/nowhere@115200"))) {
-            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-            assert!(told.starts_with("there is no serial port \"/dev/nowhere\""), "{told}");
+    fn stop_whose_bus_cannot_be_opened_reports_that_no_motor_was_stopped() {
+        for message in [stop, shut_down].map(|halt| halt(&typed("--bus rs485:/dev/nowhere@115200")))
+        {
+            let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
+            assert!(message.starts_with("there is no serial port \"/dev/nowhere\""), "{message}");
             assert!(
-                told.ends_with("; no motor was told to stop: if one must stop now, cut its power")
+                message
+                    .ends_with("; no motor was told to stop: if one must stop now, cut its power")
             );
         }
     }
@@ -238,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_line_all_hear_the_stop_before_anybody_is_waited_for() {
+    fn stop_of_all_on_rs485_is_sent_to_all_before_any_motor_is_awaited() {
         let (mut session, log) = on_a_line(false);
         assert_eq!(stop_every_id(&mut session, StopKind::Hold).unwrap().len(), 3);
         let first = log.take().into_iter().find_map(|record| match record.event {
@@ -248,9 +250,9 @@ mod tests {
         assert_eq!(first.unwrap()[..4], [0x3E, 0xCD, 0x08, 0x81]);
     }
 
-    /// Motor 1 reports on its own, and answers nothing meanwhile.
+    /// Motor 1 sends reports on its own, and answers nothing while it does.
     #[test]
-    fn who_is_heard_and_does_not_confirm_is_named() {
+    fn stop_of_all_names_a_motor_that_is_heard_but_does_not_confirm() {
         let quirks = Quirks { silent_while_reporting: true, ..Quirks::default() };
         let fleet = Fleet::new(2).quirks(quirks).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
@@ -258,22 +260,22 @@ mod tests {
         let interval = ReportInterval::from_raw(1);
         session.ask(MotorId::MIN, ActiveReply { command, enable: Switch::On, interval }).unwrap();
         let outcome = stop_every_id(&mut session, StopKind::Hold);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("by motor 2 only: cut the power of motor 1 on"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("by motor 2 only: cut the power of motor 1 on"), "{message}");
     }
 
     #[test]
-    fn if_nobody_confirms_the_power_is_to_be_cut() {
+    fn stop_that_no_motor_confirms_asks_to_cut_the_power() {
         // The motors have power, and hear nothing of this.
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         fleet.drives.iter().for_each(|drive| fleet.world.cut(drive.station()));
         let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Hold);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("cut its power"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("cut its power"), "{message}");
     }
 
     #[test]
-    fn a_bus_that_is_back_within_a_second_is_waited_for_and_all_are_stopped() {
+    fn stop_of_all_waits_a_second_for_a_bus_that_is_down() {
         // One takes nothing; the other goes bus-off again and again.
         for (faults, recovers) in [("cut", "mend+300ms"), ("corrupt=1", "corrupt=0+300ms")] {
             let faults = [faults, recovers].map(|fault| fault.parse().unwrap());
@@ -284,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn what_came_of_an_earlier_stop_says_nothing_of_this_one() {
+    fn confirmations_of_an_earlier_stop_do_not_count_for_a_later_one() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         let stations = [0, 1].map(|at| fleet.drives[at].station());
@@ -295,35 +297,35 @@ mod tests {
             fleet.world.cut(stations[cut]);
             fleet.world.mend(stations[answers]);
             let outcome = stop_every_id(&mut session, StopKind::Hold);
-            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+            let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
             let only = format!("by motor {} only: cut the power of motor {}", answers + 1, cut + 1);
-            assert!(told.contains(&only), "{told}");
+            assert!(message.contains(&only), "{message}");
         }
     }
 
     #[test]
-    fn a_bus_that_stays_down_is_told_with_the_power_to_cut() {
+    fn stop_on_a_bus_that_stays_down_asks_to_cut_the_power_after_a_second() {
         for fault in ["cut", "corrupt=1"] {
             let fleet = Fleet::new(2).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
             let mut session = Session::on(&fleet);
             let outcome = stop_every_id(&mut session, StopKind::Hold);
-            let Err(Unfinished::Failed(told)) = outcome else { panic!("{fault}: {outcome:?}") };
-            assert!(told.contains("cut its power"), "{fault}: {told}");
+            let Err(Unfinished::Failed(message)) = outcome else { panic!("{fault}: {outcome:?}") };
+            assert!(message.contains("cut its power"), "{fault}: {message}");
             let tried = session.master.now().as_micros();
             assert!((1_000_000..1_100_000).contains(&tried), "{fault}: {tried} us");
         }
     }
 
     #[test]
-    fn whom_a_bus_that_went_down_has_not_told_is_not_passed_over() {
+    fn motors_that_missed_a_stop_on_a_failing_bus_are_reported() {
         // The first has confirmed by then.
         let faults = ["cut+6ms"].map(|fault| fault.parse().unwrap());
         let fleet = Fleet::new(32).faults(faults).on_can(1_000_000).unwrap();
         let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Off);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         let some = "the bus carries nothing; the stop is confirmed by motors 1 ";
-        assert!(told.starts_with(some), "{told}");
-        assert!(told.ends_with(" only: cut the power of the others on sim:1"), "{told}");
+        assert!(message.starts_with(some), "{message}");
+        assert!(message.ends_with(" only: cut the power of the others on sim:1"), "{message}");
     }
 
     #[test]
@@ -358,14 +360,14 @@ mod tests {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
             OtherMaster::attach(&fleet, packet, Sends::Every(Duration::from_millis(every_ms)));
             let outcome = halt(&mut Session::on(&fleet), meant, kind);
-            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+            let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
             let why = "but something else on this bus goes on commanding motor 1: end that, or cut the power";
-            assert!(told.ends_with(why), "{told}");
+            assert!(message.ends_with(why), "{message}");
         }
     }
 
     #[test]
-    fn a_motor_that_something_else_goes_on_moving_is_not_said_to_be_stopped() {
+    fn motor_that_another_master_keeps_moving_is_not_reported_stopped() {
         // Only its channel shows that it is motion mode.
         let motion =
             Packet { channel: Channel::Motion(MotorId::MIN), data: [0x80, 0, 0x80, 0, 0, 0, 0, 0] };
@@ -377,35 +379,35 @@ mod tests {
     }
 
     #[test]
-    fn who_commands_a_motor_seldom_is_heard_all_the_same() {
+    fn another_master_that_commands_seldom_is_heard_after_a_stop() {
         for every_ms in [60, 100, 200] {
             is_not_left_alone(to_first(TURN.encode()), every_ms, StopKind::Hold);
         }
     }
 
     #[test]
-    fn a_motor_that_something_else_switches_on_again_is_not_said_to_be_off() {
+    fn motor_that_another_master_switches_on_again_is_not_reported_off() {
         is_not_left_alone(to_first(Stop.encode()), 10, StopKind::Off);
     }
 
     #[test]
-    fn a_motor_that_something_else_switches_off_after_the_stop_is_not_said_to_hold_still() {
+    fn motor_that_another_master_switches_off_is_not_reported_holding() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
             let soon = Sends::Once(Duration::from_millis(100));
             OtherMaster::attach(&fleet, to_first(Shutdown.encode()), soon);
             let mut session = Session::on(&fleet);
             let motors = halt(&mut session, meant, StopKind::Hold).unwrap();
-            let told = session.stopped(motors).unwrap();
+            let message = session.stopped(motors).unwrap();
             let off = "motor 1 is off (0x80): its shaft is free unless a brake holds it";
-            assert!(told.ends_with(off), "{told}");
+            assert!(message.ends_with(off), "{message}");
         }
     }
 
     /// What is reported about two stopped motors while something else turns the second, which is waited for, and sends
     /// these packets to the first, each so many milliseconds after the start. Returns the report about the first, and
     /// whether its output is on then.
-    fn told_of_first(packets: &[(Packet, u64)]) -> (String, bool) {
+    fn report_of_first(packets: &[(Packet, u64)]) -> (String, bool) {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         for (packet, after_ms) in packets {
             OtherMaster::attach(&fleet, *packet, Sends::Once(Duration::from_millis(*after_ms)));
@@ -413,25 +415,28 @@ mod tests {
         let mut session = Session::on(&fleet);
         let motors = halt(&mut session, Target::All, StopKind::Hold).unwrap();
         fleet.drives[1].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
-        let Err(Unfinished::Failed(told)) = session.stopped(motors) else { panic!("one turns") };
-        assert!(told.contains("motor 2 has confirmed the stop (0x81), but turns at"), "{told}");
-        let of_first = told.split("; ").find(|told| told.starts_with("motor 1 "));
+        let Err(Unfinished::Failed(message)) = session.stopped(motors) else { panic!("one turns") };
+        assert!(
+            message.contains("motor 2 has confirmed the stop (0x81), but turns at"),
+            "{message}"
+        );
+        let of_first = message.split("; ").find(|message| message.starts_with("motor 1 "));
         let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
         (of_first.expect("something").to_owned(), is_on)
     }
 
     #[test]
-    fn what_is_done_to_a_motor_while_another_is_waited_for_is_told() {
+    fn changes_to_one_motor_while_another_is_awaited_are_reported() {
         let [off, on] = [to_first(Shutdown.encode()), to_first(Stop.encode())];
         let is_off = "motor 1 is off (0x80): its shaft is free unless a brake holds it".to_owned();
-        assert_eq!(told_of_first(&[(off, 100)]), (is_off.clone(), false));
-        assert_eq!(told_of_first(&[(off, 1_000)]), (is_off, false));
+        assert_eq!(report_of_first(&[(off, 100)]), (is_off.clone(), false));
+        assert_eq!(report_of_first(&[(off, 1_000)]), (is_off, false));
         let on_again = "motor 1 was switched off and on again by something else on this bus: its state is not known";
-        assert_eq!(told_of_first(&[(off, 100), (on, 1_000)]), (on_again.to_owned(), true));
+        assert_eq!(report_of_first(&[(off, 100), (on, 1_000)]), (on_again.to_owned(), true));
     }
 
     #[test]
-    fn whoever_gives_way_to_a_stop_may_send_once_more() {
+    fn motor_stays_stopped_though_another_master_yields_one_command_late() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
             OtherMaster::attach(&fleet, to_first(TURN.encode()), Sends::UntilStopped);
@@ -469,7 +474,9 @@ mod tests {
     ) -> (Outcome<MotorSet>, MotorSet) {
         let motors: MotorSet = MotorId::all().take(drives.len()).collect();
         let mut other = Session::by(program());
-        assert!(other.ask_each(motors, TURN, None).outcomes.iter().all(|(_, told)| told.is_ok()));
+        assert!(
+            other.ask_each(motors, TURN, None).outcomes.iter().all(|(_, outcome)| outcome.is_ok())
+        );
         other.wait_until(Instant::ZERO + Duration::from_millis(200)).unwrap();
         drop(other);
         let mut session = Session::by(program());
@@ -483,21 +490,21 @@ mod tests {
         (stopped, motors.iter().filter(turns).collect())
     }
 
-    /// It once tried each id three times, and left out motors that had confirmed none of these.
+    /// The stop once tried each id three times, and passed over motors that had confirmed none of them.
     #[test]
-    fn where_frames_are_lost_nobody_turns_on_behind_a_stop_of_all() {
+    fn stop_of_all_leaves_no_motor_turning_where_frames_are_lost() {
         for bus in [BusKind::Can, BusKind::Rs485] {
             for kind in [StopKind::Hold, StopKind::Off] {
                 for seed in 0..25 {
-                    let (told, turning) = stopped_with_loss(bus, seed, kind);
-                    assert_eq!(turning, MotorSet::EMPTY, "{bus:?} {kind:?} {seed}: {told:?}");
+                    let (message, turning) = stopped_with_loss(bus, seed, kind);
+                    assert_eq!(turning, MotorSet::EMPTY, "{bus:?} {kind:?} {seed}: {message:?}");
                 }
             }
         }
     }
 
     #[test]
-    fn while_silent_ids_are_waited_for_no_short_protection_lets_a_load_go() {
+    fn protection_does_not_expire_while_stop_of_all_awaits_silent_ids() {
         let lets_go = |mut session: Session, drive: &DriveHandle, millis| {
             let silence = Milliseconds::from_raw(millis);
             bring_up::protect(&mut session.master, MotorId::MIN, silence).unwrap();
@@ -515,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_fails_for_a_moment_is_waited_for() {
+    fn stop_waits_for_an_rs485_line_that_is_cut_for_700_ms() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             for kind in [StopKind::Hold, StopKind::Off] {
                 let faults = ["cut", "mend+700ms"].map(|fault| fault.parse().unwrap());
@@ -527,15 +534,18 @@ mod tests {
     }
 
     #[test]
-    fn of_two_motors_with_one_id_on_a_line_it_is_told_that_something_comes() {
+    fn stop_on_rs485_reports_invalid_bytes_where_two_motors_have_one_id() {
         let motor = MotorId::MIN;
         let fleet = Fleet::new(2).all_with_id(motor).on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let stopped = stop_every_id(&mut session, StopKind::Hold).map(|_| ());
         let found = session.meant(Target::All).map(|_| ());
-        for told in [stopped, found] {
-            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-            assert!(told.contains("bytes arrive that are no valid frame (do two motors"), "{told}");
+        for message in [stopped, found] {
+            let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
+            assert!(
+                message.contains("bytes arrive that are no valid frame (do two motors"),
+                "{message}"
+            );
         }
         // With a third motor on the line they are reported beside it.
         let third = MotorId::new(2).unwrap();
@@ -545,32 +555,32 @@ mod tests {
             let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
             let stopped = stop_every_id(&mut session, StopKind::Hold).unwrap();
             assert!(stopped.contains(third));
-            let told = of_others(&session, Target::All, stopped);
-            assert_eq!(told.contains("do two motors have one id?"), is_told, "{told}");
+            let message = of_others(&session, Target::All, stopped);
+            assert_eq!(message.contains("do two motors have one id?"), is_told, "{message}");
         }
         let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
         fleet.world.cut(fleet.drives[0].station());
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        let Err(Unfinished::Failed(told)) = session.meant(Target::All) else { panic!() };
-        assert!(!told.contains("bytes arrive"), "{told}");
+        let Err(Unfinished::Failed(message)) = session.meant(Target::All) else { panic!() };
+        assert!(!message.contains("bytes arrive"), "{message}");
     }
 
     #[test]
-    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_no_stop_is_confirmed() {
+    fn unconfirmed_stop_names_a_configured_echo_that_does_not_come() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
             let (port, clock) = (fleet.world.port(), fleet.world.clock());
             let master = SerialMaster::new(port, clock, Config::rs485(115_200, true));
             let mut session = Session::by(AnyMaster::SimulatedRs485(master));
-            let Err(Unfinished::Failed(told)) = halt(&mut session, meant, StopKind::Hold) else {
+            let Err(Unfinished::Failed(message)) = halt(&mut session, meant, StopKind::Hold) else {
                 panic!("its answer is the same bytes as the echo");
             };
-            assert!(told.contains("leave out ',echo'"), "{told}");
+            assert!(message.contains("leave out ',echo'"), "{message}");
         }
     }
 
     #[test]
-    fn an_echo_that_nobody_told_of_is_no_confirmation_of_a_motor_that_is_not_there() {
+    fn echo_not_configured_confirms_no_stop_of_an_absent_motor() {
         let (mut session, _) = on_a_line(true);
         assert_eq!(stop_every_id(&mut session, StopKind::Hold).unwrap().len(), 3);
         let (mut session, _) = on_a_line(true);

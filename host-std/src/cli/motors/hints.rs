@@ -144,39 +144,39 @@ mod tests {
     #[test]
     fn an_error_of_level_one_asks_for_a_restart_and_one_of_level_two_for_patience() {
         let session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
-        let told = |errors| match session.healthy(MotorId::MIN, errors) {
+        let message = |errors| match session.healthy(MotorId::MIN, errors) {
             Err(Unfinished::Failed(sentence)) => sentence,
             other => panic!("{other:?}"),
         };
         assert_eq!(session.healthy(MotorId::MIN, ErrorFlags::empty()), Ok(()));
-        let stall = told(ErrorFlags::STALL);
+        let stall = message(ErrorFlags::STALL);
         assert!(stall.starts_with("motor 1 reports an error (motor stalled): "), "{stall}");
         let reset = "restart the motor: 'myactuator reset --bus sim:1 --id 1' (0x76)";
         assert!(stall.contains(reset), "{stall}");
-        let low = told(ErrorFlags::UNDER_VOLTAGE);
+        let low = message(ErrorFlags::UNDER_VOLTAGE);
         assert!(low.contains("on its own") && !low.contains("restart"), "{low}");
     }
 
     /// The error of a question to this motor, which does not answer.
-    fn told_of(fleet: &Fleet, id: u8) -> String {
+    fn error_of_question(fleet: &Fleet, id: u8) -> String {
         let fleet = fleet.on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let outcome = session.standing(MotorId::new(id).unwrap());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        told
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        message
     }
 
     #[test]
-    fn of_two_motors_that_answer_at_once_on_a_line_it_is_told_that_something_comes() {
+    fn invalid_bytes_of_two_motors_that_answer_at_once_are_reported() {
         let hint = "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
-        let both = told_of(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
+        let both = error_of_question(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
         assert!(both.ends_with(hint), "{both}");
-        let nobody = told_of(&Fleet::new(1), 2);
+        let nobody = error_of_question(&Fleet::new(1), 2);
         assert!(nobody.ends_with("is this its id?"), "{nobody}");
     }
 
     #[test]
-    fn where_nobody_was_heard_the_adapter_may_be_of_the_other_kind() {
+    fn serial_port_without_any_reply_hints_at_the_other_kind_of_adapter() {
         for (address, other) in [
             ("rs485:/dev/ttyUSB0@115200", "speaks SLCAN, use slcan:/dev/ttyUSB0@1000000"),
             ("slcan:/dev/ttyACM0@500000", "is for RS485, use rs485:/dev/ttyACM0@115200"),
@@ -190,22 +190,22 @@ mod tests {
             session.standing(MotorId::MIN).unwrap();
             let later = session.standing(MotorId::new(2).unwrap());
             for (outcome, is_told) in [(Err(nobody), true), (silent, true), (later, false)] {
-                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-                assert_eq!(told.ends_with(&other), is_told, "{told}");
+                let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+                assert_eq!(message.ends_with(&other), is_told, "{message}");
             }
         }
     }
 
     #[test]
-    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_an_answer_counts_as_one() {
+    fn missing_configured_echo_is_named_when_a_reply_was_taken_for_it() {
         let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
         let config = Config::rs485(115_200, true);
         let master = SerialMaster::new(world.port(), world.clock(), config);
         let mut session = Session::by(AnyMaster::SimulatedRs485(master));
         session.ask(MotorId::MIN, ReadStatus1).unwrap();
         let outcome = session.release_brake(MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("leave out ',echo'"), "{told}");
-        assert!(told.ends_with("its brake may be open even so"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("leave out ',echo'"), "{message}");
+        assert!(message.ends_with("its brake may be open even so"), "{message}");
     }
 }

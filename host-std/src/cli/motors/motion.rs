@@ -132,11 +132,11 @@ mod tests {
         let ranges = "12.566,45,500,5,60";
         let fleet = Fleet::new(1).firmware(Firmware::V4_4);
         let fleet = fleet.motion_ranges(parse::ranges(ranges).unwrap());
-        let told = refused(&fleet, "--for-s 1");
-        assert!(told.starts_with("motor 1 speaks v4.4: --ranges is missing: "), "{told}");
+        let message = refused(&fleet, "--for-s 1");
+        assert!(message.starts_with("motor 1 speaks v4.4: --ranges is missing: "), "{message}");
         // The wrong firmware is refused.
-        let told = refused(&fleet, "--firmware v4.3");
-        assert!(told.contains("version date 2026042402, which is v4.4's"), "{told}");
+        let message = refused(&fleet, "--firmware v4.3");
+        assert!(message.contains("version date 2026042402, which is v4.4's"), "{message}");
         runs(&fleet, &format!("--ranges {ranges}"));
     }
 
@@ -144,16 +144,16 @@ mod tests {
     fn a_motor_of_unknown_firmware_gets_no_motion_frame() {
         // A build that was seen on real motors; no report says which protocol it speaks.
         let fleet = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
-        let told = refused(&fleet, "--for-s 1");
+        let message = refused(&fleet, "--for-s 1");
         assert!(
-            told.contains("version date 2025070202, which is not that of a known firmware"),
-            "{told}"
+            message.contains("version date 2025070202, which is not that of a known firmware"),
+            "{message}"
         );
         runs(&fleet, "--firmware v4.3");
         runs(&fleet, "--ranges 12.5,45,500,5,24");
     }
 
-    /// It once swung over many turns, because such a motor reports the end of the scale.
+    /// The motor once swung over many turns, because beyond the scale it reports the end of the scale.
     #[test]
     fn a_shaft_beyond_the_scale_is_not_moved() {
         // 12.5 rad are 716.2 degrees.
@@ -170,10 +170,10 @@ mod tests {
             let moved = sent(&log).iter().any(|p| p.channel == Channel::Motion(MotorId::MIN));
             assert_eq!(moved, !is_beyond, "{outcome:?}");
             if is_beyond {
-                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+                let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
                 let found = format!("motor 1 is at {degrees}");
-                assert!(told.starts_with(&found), "{told}");
-                assert!(told.contains("-12.5 to 12.5 rad"), "{told}");
+                assert!(message.starts_with(&found), "{message}");
+                assert!(message.contains("-12.5 to 12.5 rad"), "{message}");
             }
         }
     }

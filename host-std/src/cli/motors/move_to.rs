@@ -174,20 +174,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_restart_on_the_way_it_is_told_what_to_do() {
+    fn restart_during_a_move_is_reported_without_advice_to_resume() {
         let faults = ["reset@1+1.5s".parse().unwrap()];
         let fleet = Fleet::new(1).faults(faults).on_can(1_000_000).unwrap();
         let (max_speed, angle) = (MaxSpeed::from_raw(360), Angle::from_raw(90_000));
         let command = AbsolutePosition { max_speed, angle };
         let limits = MoveLimits::default();
         let outcome = go(&mut Session::on(&fleet), MotorId::MIN, command, &limits);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.starts_with("motor 1 has restarted, or was silent"), "{told}");
-        assert!(!told.contains("resume"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.starts_with("motor 1 has restarted, or was silent"), "{message}");
+        assert!(!message.contains("resume"), "{message}");
     }
 
     #[test]
-    fn a_motor_that_is_stopped_from_elsewhere_is_told_so_at_once() {
+    fn move_that_another_master_stops_ends_at_once_and_reports_that() {
         for (first, how) in [
             (0x81, "is stopped and holds still (0x81) unless its protection (0xB3) ends that"),
             (0x80, "is off (0x80): its shaft is free unless a brake holds it"),
@@ -201,8 +201,8 @@ mod tests {
                 let command = AbsolutePosition { max_speed, angle };
                 go(session, MotorId::MIN, command, &MoveLimits::default())
             });
-            let told = format!("something else on this bus has stopped motor 1; motor 1 {how}");
-            assert_eq!(outcome, Err(Unfinished::Failed(told)));
+            let message = format!("something else on this bus has stopped motor 1; motor 1 {how}");
+            assert_eq!(outcome, Err(Unfinished::Failed(message)));
             let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
             assert_eq!(is_on, first == 0x81);
             let latest = session.master.now();

@@ -439,7 +439,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn on_a_line_the_stop_of_one_motor_is_no_affair_of_the_others() {
+    fn stop_of_one_motor_on_rs485_leaves_the_others_on() {
         let fleet = Fleet::new(2).on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let [one, other] = [1, 2].map(|id| MotorId::new(id).unwrap());
@@ -454,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn the_help_says_for_how_long_others_are_listened_to() {
+    fn help_says_how_long_a_stop_listens_for_other_masters() {
         let all = clap::Command::new("typed");
         let all = <super::super::Subcommand as clap::Subcommand>::augment_subcommands(all);
         for name in ["stop", "shutdown"] {
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn the_help_says_when_a_motor_that_holds_lets_go() {
+    fn help_says_when_protection_ends_a_hold() {
         for name in ["stop", "move", "speed"] {
             let help = help_of(name);
             assert!(help.contains("when that time is up its output is off"), "{name}: {help}");
@@ -481,7 +481,7 @@ mod tests {
     }
 
     #[test]
-    fn the_help_of_a_stop_says_who_may_keep_the_bus_and_how_long_it_takes() {
+    fn help_of_stop_says_that_a_port_has_one_user_and_how_long_it_takes() {
         for name in ["stop", "shutdown"] {
             let help = help_of(name);
             let [one, takes] = ["can be opened by one program at a time", "A stop of all takes"];
@@ -499,7 +499,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_has_lost_its_master_is_told_to_hold_until_it_does() {
+    fn motor_that_lost_its_master_is_stopped_again_until_it_holds() {
         let motor = MotorId::MIN;
         let (fleet, mut session) = protected_after(100);
         let later = session.master.now() + Duration::from_millis(200);
@@ -515,9 +515,9 @@ mod tests {
         assert!(is_on());
     }
 
-    /// It has no brake, and reports a locked one whenever it obeys no motion command.
+    /// The motor has lost its master. It has no brake, and reports a locked one whenever it obeys no motion command.
     #[test]
-    fn so_is_one_that_says_its_brake_is_locked() {
+    fn motor_that_reports_a_locked_brake_is_stopped_again_until_it_holds() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
         let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
@@ -534,33 +534,33 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_its_locked_brake_holds_is_stopped_and_not_said_to_hold_by_itself() {
+    fn motor_held_by_its_locked_brake_is_not_reported_as_holding() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
-        let told = session.stopped(MotorId::MIN.into()).unwrap();
-        assert_eq!(told, braked(MotorId::MIN.into()));
+        let message = session.stopped(MotorId::MIN.into()).unwrap();
+        assert_eq!(message, braked(MotorId::MIN.into()));
         // Unless the shaft turns.
         fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         let outcome = session.stopped(MotorId::MIN.into());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("turns at 200"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("turns at 200"), "{message}");
     }
 
     #[test]
-    fn an_error_is_told_that_comes_while_a_motor_is_waited_for_to_stand() {
+    fn error_raised_while_a_motor_comes_to_rest_is_reported() {
         let fault = "stall@1+300ms".parse().unwrap();
         let fleet = Fleet::new(1).faults([fault]).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         assert!(session.ready(MotorId::MIN).is_ok(), "it has not come yet");
         let outcome = session.stopped(MotorId::MIN.into());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("motor stalled"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("motor stalled"), "{message}");
     }
 
     #[test]
-    fn a_stop_is_looked_after_without_a_silence_in_which_a_drive_lets_go() {
+    fn short_protection_does_not_expire_while_a_stop_is_confirmed() {
         let motor = MotorId::MIN;
         let (fleet, mut session) = protected_after(30);
         for _ in 0..3 {
@@ -588,20 +588,20 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_slows_down_still_is_not_said_to_hold_still() {
+    fn interrupted_motor_is_reported_holding_only_once_it_stands() {
         // From 180 dps it takes 1.8 s.
         let (outcome, dps) = interrupted_at(18_000);
-        let told = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
-        assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
+        let message = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
+        assert_eq!(outcome, Err(Unfinished::Interrupted(message.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
         // From 540 dps it takes 5.4 s.
         let (outcome, dps) = interrupted_at(54_000);
-        assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
+        assert_eq!(outcome, Err(Unfinished::Interrupted(message.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
     }
 
     #[test]
-    fn who_presses_ctrl_c_again_does_not_wait_for_a_motor_that_slows_down() {
+    fn second_ctrl_c_ends_the_wait_for_a_motor_that_still_turns() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
@@ -609,16 +609,16 @@ mod tests {
         session.again.store(true, Ordering::Relaxed);
         let begun = session.master.now();
         let outcome = session.stopped(MotorId::MIN.into());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         assert!(
-            told.starts_with("motor 1 has confirmed the stop (0x81) and still turns at 200"),
-            "{told}"
+            message.starts_with("motor 1 has confirmed the stop (0x81) and still turns at 200"),
+            "{message}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(20));
     }
 
     #[test]
-    fn a_motor_that_becomes_no_slower_is_not_said_to_hold_still() {
+    fn motor_that_does_not_slow_down_is_not_reported_holding() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
@@ -626,28 +626,28 @@ mod tests {
         fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         let begun = session.master.now();
         let outcome = session.stopped(MotorId::MIN.into());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         assert!(
-            told.starts_with("motor 1 has confirmed the stop (0x81), but turns at 200")
-                && told.ends_with("and does not slow down: cut its power"),
-            "{told}"
+            message.starts_with("motor 1 has confirmed the stop (0x81), but turns at 200")
+                && message.ends_with("and does not slow down: cut its power"),
+            "{message}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(3_100));
     }
 
     #[test]
-    fn an_arm_that_swings_does_not_stand_where_it_turns_back() {
+    fn swinging_arm_is_not_at_rest_where_it_turns_back() {
         let arm = Arm { mass_kg: 5.0, length_m: 0.4, down_deg: 0.0 };
         let load = Load { arm: Some(arm), ..Load::NONE };
         let fleet = Fleet::new(1).load(load).start_angle_deg(90.0).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         let outcome = session.come_to_rest(MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("does not slow down"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("does not slow down"), "{message}");
     }
 
     #[test]
-    fn several_motors_are_looked_after_together() {
+    fn several_stopped_motors_are_awaited_together() {
         let fleet = Fleet::new(6).on_can(1_000_000).unwrap();
         let motors: MotorSet = MotorId::all().take(6).collect();
         let mut session = Session::on(&fleet);
@@ -661,46 +661,49 @@ mod tests {
         }
         let begun = session.master.now();
         let outcome = session.stopped(motors);
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        let told: Vec<&str> = told.split("; ").collect();
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        let message: Vec<&str> = message.split("; ").collect();
         assert_eq!(
-            told[0],
+            message[0],
             "motor 6 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
         );
-        for (told, motor) in told[1..].iter().zip(1..) {
+        for (message, motor) in message[1..].iter().zip(1..) {
             let how =
                 if motor <= 3 { "does not slow down" } else { "whether it holds is not known" };
-            assert!(told.starts_with(&format!("motor {motor} ")) && told.contains(how), "{told}");
+            assert!(
+                message.starts_with(&format!("motor {motor} ")) && message.contains(how),
+                "{message}"
+            );
         }
-        assert_eq!(told.len(), 6, "{told:?}");
+        assert_eq!(message.len(), 6, "{message:?}");
         let took = session.master.now() - begun;
         assert!(took < Duration::from_millis(3_200), "{took:?}");
     }
 
     #[test]
-    fn a_stop_of_which_nobody_knows_whether_it_holds_is_no_success() {
+    fn stopped_motor_that_falls_silent_is_not_reported_as_success() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         // The other one acknowledges its frames.
         fleet.world.cut(fleet.drives[0].station());
         let outcome = session.stopped(MotorId::MIN.into());
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.ends_with("whether it holds is not known: its errors cannot be read"));
-        let told = "motor 1 has confirmed the stop (0x81), but whether it stands is not known: no reply: is the motor \
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.ends_with("whether it holds is not known: its errors cannot be read"));
+        let message = "motor 1 has confirmed the stop (0x81), but whether it stands is not known: no reply: is the motor \
                     powered, and is this its id?";
         let outcome = session.come_to_rest(MotorId::MIN);
-        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
+        assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
     }
 
     #[test]
-    fn a_motor_that_was_switched_off_is_not_said_to_hold_still() {
+    fn motor_that_was_switched_off_is_not_reported_holding() {
         let mut session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
         let outcome: Outcome = session.moving(MotorId::MIN, |session| {
             session.stop(StopKind::Off, MotorId::MIN.into())?;
             Err(Unfinished::ReaderLeft)
         });
-        let told = "nobody reads the output any more; motor 1 is off (0x80): its shaft is free unless a brake holds it";
-        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
+        let message = "nobody reads the output any more; motor 1 is off (0x80): its shaft is free unless a brake holds it";
+        assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
     }
 }

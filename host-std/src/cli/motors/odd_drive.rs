@@ -18,7 +18,7 @@ const RESPONSE: Duration = Duration::from_micros(800);
 #[derive(Debug, Default)]
 pub(super) struct OddDrive {
     /// The command bytes that it got, in order.
-    pub(super) told: Vec<u8>,
+    pub(super) received: Vec<u8>,
     /// The run time that it reports.
     pub(super) run_time_ms: u32,
     /// The running mode that it reports; `None` if it does not answer that.
@@ -48,7 +48,7 @@ pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
 
 impl OddDrive {
     fn answer(&mut self, data: Data, now: Instant) -> Option<Data> {
-        self.told.push(data[0]);
+        self.received.push(data[0]);
         match data[0] {
             0x77 if self.ignored_releases > 0 => {
                 self.ignored_releases -= 1;

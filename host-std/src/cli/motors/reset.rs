@@ -77,7 +77,7 @@ mod tests {
     use crate::cli::Unfinished;
 
     #[test]
-    fn an_error_whose_cause_is_gone_goes_with_a_restart() {
+    fn restart_clears_an_error_whose_cause_is_gone() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_motor_holds_its_brake_holds_while_it_restarts() {
+    fn brake_holds_the_load_while_its_motor_restarts() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let quirks = Quirks { slow_brake: true, ..Quirks::default() };
         let fleet = Fleet::new(1).brakes(true).quirks(quirks).load(load).on_can(1_000_000).unwrap();
@@ -104,28 +104,28 @@ mod tests {
     }
 
     #[test]
-    fn who_has_another_rate_after_the_restart_is_looked_for_at_all_rates() {
+    fn silence_after_a_restart_with_a_new_bit_rate_hints_at_all_rates() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         let baud_rate = BaudCode::CAN_500K_RS485_115200;
         session.ask(MotorId::MIN, SetBaudRate { baud_rate }).unwrap();
-        let told = restart(&mut session, MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-        assert!(told.starts_with("motor 1 does not answer: check its power, "), "{told}");
-        assert!(told.contains("'myactuator scan --all-rates --bus sim:1' tries"), "{told}");
+        let message = restart(&mut session, MotorId::MIN);
+        let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
+        assert!(message.starts_with("motor 1 does not answer: check its power, "), "{message}");
+        assert!(message.contains("'myactuator scan --all-rates --bus sim:1' tries"), "{message}");
     }
 
     #[test]
-    fn whole_turns_that_a_restart_has_lost_are_told() {
-        let told = |before, after| {
+    fn whole_turns_lost_in_a_restart_are_reported() {
+        let message = |before, after| {
             restarted(MotorId::MIN, Angle::from_raw(before), Angle::from_raw(after))
         };
         let same = "motor 1 has restarted: it read 92.32 deg and reads 92.31 deg";
-        assert_eq!(told(9_232, 9_231), same);
+        assert_eq!(message(9_232, 9_231), same);
         let lost = "motor 1 has restarted: it read 192.32 deg and reads -167.68 deg: a whole turn was lost, and angles \
                     count from what it reads now";
-        assert_eq!(told(19_232, -16_768), lost);
-        assert!(told(-200_000, -19_998).contains(": 5 whole turns were lost"));
+        assert_eq!(message(19_232, -16_768), lost);
+        assert!(message(-200_000, -19_998).contains(": 5 whole turns were lost"));
     }
 
     #[test]
@@ -134,22 +134,25 @@ mod tests {
         let mut session = turning(&fleet);
         let log = fleet.world.log();
         // The user is not asked about it. A motor that begins to turn meanwhile is not restarted, either.
-        for told in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {
-            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+        for message in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {
+            let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
             assert!(
-                told.starts_with("motor 1 turns at 1") && told.ends_with("stop it first"),
-                "{told}"
+                message.starts_with("motor 1 turns at 1") && message.ends_with("stop it first"),
+                "{message}"
             );
             assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x76));
         }
     }
 
     #[test]
-    fn a_motor_that_runs_on_has_not_restarted() {
+    fn motor_whose_run_time_goes_on_has_not_restarted() {
         let (fleet, drive) = odd_drive::alone();
         drive.lock().unwrap().run_time_ms = 50_000;
-        let told = restart(&mut Session::on(&fleet), MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-        assert!(told.starts_with("motor 1 was told to restart and goes on running"), "{told}");
+        let message = restart(&mut Session::on(&fleet), MotorId::MIN);
+        let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
+        assert!(
+            message.starts_with("motor 1 was told to restart and goes on running"),
+            "{message}"
+        );
     }
 }

@@ -259,9 +259,9 @@ mod tests {
         sent(log).iter().map(|packet| packet.data[0]).collect()
     }
 
-    /// It once counted as having run, because it held still when it was checked.
+    /// The motor once counted as having run, because it held still when it was checked.
     #[test]
-    fn a_motor_that_lets_go_between_two_commands_has_not_run() {
+    fn motor_whose_protection_expires_between_commands_has_not_run() {
         let fleet = fleet();
         let mut session = Session::on(&fleet);
         let protection = Milliseconds::from_raw(5);
@@ -269,14 +269,14 @@ mod tests {
         let outcome = session.moving(MotorId::MIN, |session| {
             repeat(session, &typed("--id 1"), TURN, |_| String::new())
         });
-        let told = format!("{:?}", outcome.expect_err("it has not turned"));
-        assert!(told.contains("motor 1 runs nothing (mode 0)"), "{told}");
+        let message = format!("{:?}", outcome.expect_err("it has not turned"));
+        assert!(message.contains("motor 1 runs nothing (mode 0)"), "{message}");
         let longer = "('myactuator timeout --time-ms 500 --bus sim:1 --id 1' makes it longer)";
-        assert!(told.contains(longer), "{told}");
+        assert!(message.contains(longer), "{message}");
     }
 
     #[test]
-    fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
+    fn brake_locks_on_a_standing_shaft_before_the_output_goes_off() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.release_brake(MotorId::MIN).unwrap();
@@ -292,7 +292,7 @@ mod tests {
         session.standing(MotorId::MIN).unwrap();
     }
 
-    /// It falls if the output goes off before the brake has locked.
+    /// The load falls if the output goes off before the brake has locked.
     #[test]
     fn a_load_stays_where_it_is_while_a_slow_brake_locks() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -310,7 +310,7 @@ mod tests {
         assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
-    /// It acknowledges 0x78, too.
+    /// A motor without a brake acknowledges 0x78, too.
     #[test]
     fn a_motor_that_has_no_brake_goes_on_holding_its_load() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
@@ -319,9 +319,9 @@ mod tests {
         let angle_deg = || fleet.drives[0].with(|drive| drive.state().angle_deg);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         let held_deg = angle_deg();
-        let told = put_down(&mut session, MotorId::MIN).unwrap();
+        let message = put_down(&mut session, MotorId::MIN).unwrap();
         assert_eq!(
-            told,
+            message,
             "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
         );
         let sunk_deg = (angle_deg() - held_deg).abs();
@@ -329,37 +329,40 @@ mod tests {
     }
 
     #[test]
-    fn where_a_brake_does_not_hold_the_motor_holds_its_load_again() {
+    fn motor_holds_its_load_again_when_its_brake_does_not_hold() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         session.release_brake(MotorId::MIN).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
-        let Err(Unfinished::Failed(told)) = put_down(&mut session, MotorId::MIN) else {
+        let Err(Unfinished::Failed(message)) = put_down(&mut session, MotorId::MIN) else {
             panic!("its load falls")
         };
-        assert!(told.contains("its brake was told to lock (0x78) and does not hold"), "{told}");
         assert!(
-            told.ends_with(
+            message.contains("its brake was told to lock (0x78) and does not hold"),
+            "{message}"
+        );
+        assert!(
+            message.ends_with(
                 "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
             ),
-            "{told}"
+            "{message}"
         );
         assert!(fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
     #[test]
-    fn an_error_on_the_way_stops_the_motor_and_is_told() {
+    fn error_during_a_run_stops_the_motor_and_is_reported() {
         let fleet = fleet();
         let mut session = Session::on(&fleet);
         let log = fleet.world.log();
         let drive = fleet.drives[0].clone();
         let why = turn(&mut session, || drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)));
-        let Unfinished::Failed(told) = why else { panic!("{why:?}") };
-        assert!(told.starts_with("motor 1 reports an error (motor stalled): "), "{told}");
+        let Unfinished::Failed(message) = why else { panic!("{why:?}") };
+        assert!(message.starts_with("motor 1 reports an error (motor stalled): "), "{message}");
         let truth = "; motor 1 has confirmed the stop (0x81) but reports an error (motor stalled), for \
                      which a drive cuts its output: only a locked brake holds its shaft";
-        assert!(told.ends_with(truth), "{told}");
+        assert!(message.ends_with(truth), "{message}");
         // It is stopped before its state is read.
         let mut commands = commands(&log);
         commands.retain(|byte| *byte != 0x9C);
@@ -382,9 +385,9 @@ mod tests {
         run(session, &typed, &run_it, |_| Ok(()), reading)
     }
 
-    /// A load that only the motor holds would fall, and a turning shaft would turn on.
+    /// Otherwise a load that only the motor holds would fall, and a turning shaft would turn on.
     #[test]
-    fn a_motor_is_stopped_and_switched_off_behind_its_brake_unless_it_held_before() {
+    fn run_ends_with_brake_locked_and_output_off_unless_the_motor_held() {
         let put_down: &[u8] = &[0x81, 0x78, 0x80];
         for (has_brake, held, last) in [
             (false, false, &[0x81, 0x78, 0x81][..]),
@@ -407,9 +410,9 @@ mod tests {
         }
     }
 
-    /// A motor without a brake reports the same, and a load would fall.
+    /// A motor without a brake reports the same, and its load would fall if it were switched off.
     #[test]
-    fn who_says_lock_after_an_acknowledged_release_is_held_at_the_end() {
+    fn motor_that_reports_lock_after_its_release_holds_at_the_end() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
         let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
@@ -423,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_at_the_end_that_holds_nothing_is_told_once() {
+    fn final_stop_that_does_not_hold_is_reported_once() {
         let fleet = fleet();
         let drive = fleet.drives[0].clone();
         let outcome =
@@ -431,12 +434,12 @@ mod tests {
                 // What turns it is stronger than the motor.
                 drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
             });
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert_eq!(told.matches("does not slow down").count(), 1, "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert_eq!(message.matches("does not slow down").count(), 1, "{message}");
     }
 
     #[test]
-    fn a_stop_at_the_end_that_something_else_undoes_is_told_once() {
+    fn final_stop_that_another_master_undoes_is_reported_once() {
         for end in [StopKind::Hold, StopKind::Off] {
             let fleet = fleet();
             // The first of these comes after the run.
@@ -446,13 +449,13 @@ mod tests {
             }
             let mut session = Session::on(&fleet);
             let outcome = run_to_end(&mut session, TURN, (0.3, false, end), || {});
-            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-            assert_eq!(told.matches("goes on commanding motor 1").count(), 1, "{told}");
+            let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+            assert_eq!(message.matches("goes on commanding motor 1").count(), 1, "{message}");
         }
     }
 
     #[test]
-    fn a_last_stop_that_nobody_confirms_is_told_once() {
+    fn final_stop_without_confirmation_is_reported_once() {
         for end in [StopKind::Hold, StopKind::Off] {
             for opens in [false, true] {
                 // The other one goes on acknowledging frames. One command without a reply is no failure.
@@ -460,15 +463,15 @@ mod tests {
                 let fleet = Fleet::new(2).brakes(true).faults([cut]).on_can(1_000_000).unwrap();
                 let mut session = Session::on(&fleet);
                 let outcome = run_to_end(&mut session, TURN, (1.0, opens, end), || {});
-                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-                let silent = told.matches("no confirmation of the stop from motor 1").count();
-                assert_eq!(silent, 1, "{told}");
+                let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+                let silent = message.matches("no confirmation of the stop from motor 1").count();
+                assert_eq!(silent, 1, "{message}");
             }
         }
     }
 
     #[test]
-    fn ctrl_c_while_a_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
+    fn ctrl_c_while_a_motor_comes_to_rest_waits_and_is_no_failure() {
         // From 90 dps it takes 0.9 s.
         let slowly = WriteAcceleration {
             index: AccelerationIndex::SPEED_DECELERATION,
@@ -483,63 +486,66 @@ mod tests {
                 session.ask(MotorId::MIN, slowly).unwrap();
                 CtrlC::attach(&fleet, &session, Duration::from_millis(after_ms));
                 let outcome = run_to_end(&mut session, TURN, (1.0, opens, end), || {});
-                let told = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that".to_owned();
-                assert_eq!(outcome, Err(Unfinished::Interrupted(told)), "{end:?} {after_ms}");
+                let message = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that".to_owned();
+                assert_eq!(outcome, Err(Unfinished::Interrupted(message)), "{end:?} {after_ms}");
                 session.standing(MotorId::MIN).unwrap();
             }
         }
     }
 
     /// The error of a run of one second with this restart.
-    fn told_of_restart<C: Command + Copy>(command: C, end: StopKind, at: &str) -> String {
+    fn error_of_run_with_restart<C: Command + Copy>(command: C, end: StopKind, at: &str) -> String {
         let restart = format!("reset@1+{at}").parse().unwrap();
         let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
         fleet.world.run_for(Duration::from_secs(1));
         let outcome = run_to_end(&mut Session::on(&fleet), command, (1.0, false, end), || {});
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{at}: {outcome:?}") };
-        assert!(told.starts_with("motor 1 has restarted during the run: "), "{at}: {told}");
-        told
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{at}: {outcome:?}") };
+        assert!(message.starts_with("motor 1 has restarted during the run: "), "{at}: {message}");
+        message
     }
 
-    /// It once counted as having run: the simulated restart takes 44 ms, too short for a silence.
+    /// The motor once counted as having run: the simulated restart takes 44 ms, too short for a silence.
     #[test]
-    fn a_restart_that_takes_no_time_is_told() {
+    fn restart_without_a_silence_is_reported() {
         let still = MotionSetPoint { kp: 10.0, kd: 1.0, ..MotionSetPoint::default() };
         let motion = MotionRanges::V4_3.quantise(&still).unwrap();
         // In the middle, and right before the end.
         for at in ["1500ms", "1930ms"] {
             let hold = StopKind::Hold;
-            for told in [told_of_restart(TURN, hold, at), told_of_restart(motion, hold, at)] {
+            for message in [
+                error_of_run_with_restart(TURN, hold, at),
+                error_of_run_with_restart(motion, hold, at),
+            ] {
                 assert!(
-                    told.ends_with("motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"),
-                    "{at}: {told}"
+                    message.ends_with("motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"),
+                    "{at}: {message}"
                 );
             }
         }
     }
 
-    /// It once counted as having run, or as having heard nothing for too long.
+    /// The motor once counted as having run, or as having heard nothing for too long.
     #[test]
-    fn a_restart_while_the_motor_is_stopped_at_the_end_is_told() {
+    fn restart_during_the_final_stop_is_reported() {
         // Before the stop is confirmed, and while the program listens whether something else moves the motor.
         for ms in (2_000..2_010).chain([2_200]) {
             let at = format!("{ms}ms");
-            let told = told_of_restart(TURN, StopKind::Hold, &at);
+            let message = error_of_run_with_restart(TURN, StopKind::Hold, &at);
             let (holds, off) = (
                 "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that",
                 "its shaft is free",
             );
-            assert!(told.ends_with(holds) || told.ends_with(off), "{at}: {told}");
-            let told = told_of_restart(TURN, StopKind::Off, &at);
+            assert!(message.ends_with(holds) || message.ends_with(off), "{at}: {message}");
+            let message = error_of_run_with_restart(TURN, StopKind::Off, &at);
             assert!(
-                told.contains("; motor 1 is off (0x80)") || told.ends_with(holds),
-                "{at}: {told}"
+                message.contains("; motor 1 is off (0x80)") || message.ends_with(holds),
+                "{at}: {message}"
             );
         }
     }
 
     #[test]
-    fn a_motor_that_is_stopped_from_elsewhere_is_not_started_again() {
+    fn motor_that_another_master_stopped_is_not_started_again() {
         for (first, holds, how) in [
             (
                 0x81,
@@ -554,8 +560,8 @@ mod tests {
             let mut session = Session::on(&fleet);
             let log = fleet.world.log();
             let why = turn(&mut session, || {});
-            let told = format!("something else on this bus has stopped motor 1; motor 1 {how}");
-            assert_eq!(why, Unfinished::Failed(told));
+            let message = format!("something else on this bus has stopped motor 1; motor 1 {how}");
+            assert_eq!(why, Unfinished::Failed(message));
             // One command may have been in flight already. The motor is stopped as it was, and not switched on for
             // that.
             let sent = commands(&log);
@@ -573,7 +579,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_was_held_up_moves_nothing_again() {
+    fn program_that_was_held_up_stops_the_motor_and_moves_it_no_more() {
         let fleet = fleet();
         let mut session = Session::on(&fleet);
         let log = fleet.world.log();
@@ -587,13 +593,13 @@ mod tests {
                 String::new()
             })
         });
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.starts_with("this program was held up for 5.0"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.starts_with("this program was held up for 5.0"), "{message}");
         assert!(
-            told.ends_with(
+            message.ends_with(
                 "; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
             ),
-            "{told}"
+            "{message}"
         );
         let commands = commands(&log);
         assert!(!commands.contains(&0xA2) && commands.contains(&0x81), "{commands:02X?}");
@@ -612,13 +618,13 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_falls_silent_is_told_with_what_to_do() {
+    fn silent_motor_is_reported_with_advice_to_cut_its_power() {
         // The other one goes on acknowledging frames.
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         let (world, station) = (fleet.world.clone(), fleet.drives[0].station());
         let why = turn(&mut session, || world.cut(station));
-        let Unfinished::Failed(told) = why else { panic!("{why:?}") };
-        assert!(told.contains("from motor 1: cut its power"), "{told}");
+        let Unfinished::Failed(message) = why else { panic!("{why:?}") };
+        assert!(message.contains("from motor 1: cut its power"), "{message}");
     }
 }

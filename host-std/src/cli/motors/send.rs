@@ -348,10 +348,10 @@ mod tests {
     const C0: Data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
 
     #[test]
-    fn what_no_drive_knows_is_sent_once_and_its_silence_told() {
-        let (told, packets) = failed(&Fleet::new(1), "--id 1 raw C0 01 2 3,4 0x5 0607");
+    fn unknown_command_is_sent_once_and_its_silence_is_explained() {
+        let (message, packets) = failed(&Fleet::new(1), "--id 1 raw C0 01 2 3,4 0x5 0607");
         assert_eq!(
-            told,
+            message,
             "motor 1: no reply to command byte 0xC0: its firmware may not know it, or send no reply to it (--reply none); else, is the motor powered, and is this its id?"
         );
         let channel = Channel::Command(Target::Motor(MotorId::MIN));
@@ -362,40 +362,41 @@ mod tests {
     }
 
     #[test]
-    fn what_goes_to_all_on_a_line_is_sent_and_nobody_is_said_not_to_have_heard_it() {
+    fn command_to_all_on_rs485_succeeds_without_replies() {
         let (_fleet, mut session) = on_line(3);
         assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
     }
 
     #[test]
-    fn of_one_motor_on_a_line_that_does_not_answer_nobody_is_told_of_can() {
+    fn missing_reply_on_rs485_is_reported_without_a_hint_at_can() {
         let (fleet, mut session) = on_line(1);
         fleet.world.cut(fleet.drives[0].station());
         let explainer = Explainer::new(Firmware::V4_3);
         let sending = Sending { command: Stop.into(), explainer, json: false };
         // It answers a scan, and is cut off then.
-        let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())
+        let Err(Unfinished::Failed(message)) = sending.to_all(&mut session, MotorId::MIN.into())
         else {
             panic!("nobody answers");
         };
-        assert_eq!(told, "no reply from motor 1: is it powered, and is this its id?");
+        assert_eq!(message, "no reply from motor 1: is it powered, and is this its id?");
     }
 
     #[test]
-    fn what_acts_again_and_is_not_answered_may_have_been_carried_out() {
+    fn unanswered_command_that_acts_each_time_may_have_been_carried_out() {
         let fleet = Fleet::new(1).faults(["cut@1".parse().unwrap()]);
-        let (told, _) = failed(&fleet, "--id 1 set-current-position-zero");
-        assert!(told.contains("may have been carried out"), "{told}");
+        let (message, _) = failed(&fleet, "--id 1 set-current-position-zero");
+        assert!(message.contains("may have been carried out"), "{message}");
     }
 
     #[test]
     fn a_motor_that_may_move_and_does_not_answer_is_stopped() {
-        let (told, packets) = failed(&Fleet::new(1), "--id 1 raw --moves C0 01 02 03 04 05 06 07");
+        let (message, packets) =
+            failed(&Fleet::new(1), "--id 1 raw --moves C0 01 02 03 04 05 06 07");
         assert!(
-            told.ends_with(
+            message.ends_with(
                 "; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
             ),
-            "{told}"
+            "{message}"
         );
         let (first, rest) = packets.split_first().unwrap();
         assert_eq!((first.data, rest[0].data[0]), (C0, 0x81));
@@ -403,8 +404,8 @@ mod tests {
         let is_expected = |packet: &Packet| [0x81, 0x9C, 0x9A, 0x70].contains(&packet.data[0]);
         assert!(rest[1..].iter().all(is_expected), "{rest:?}");
         // A read is none of those.
-        let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
-        assert!(!told.contains("stopped"), "{told}");
+        let (message, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
+        assert!(!message.contains("stopped"), "{message}");
         assert!(packets.iter().all(|packet| packet.data[0] == 0x9A));
     }
 
@@ -416,12 +417,14 @@ mod tests {
             session.interrupted.store(true, Ordering::Relaxed);
             let line = format!("{line} --json speed --speed-dps 90 --max-torque-pct 0");
             let outcome = run_on(&mut session, &typed(&line));
-            let Err(Unfinished::Interrupted(told)) = outcome else { panic!("{line}: {outcome:?}") };
-            assert!(told.starts_with("interrupted; motor"), "{told}");
-            let is_told = |whose| {
-                told.ends_with(&format!("(0x81) unless {whose} protection (0xB3) ends that"))
+            let Err(Unfinished::Interrupted(message)) = outcome else {
+                panic!("{line}: {outcome:?}")
             };
-            assert!(is_told("its") || is_told("their"), "{told}");
+            assert!(message.starts_with("interrupted; motor"), "{message}");
+            let is_told = |whose| {
+                message.ends_with(&format!("(0x81) unless {whose} protection (0xB3) ends that"))
+            };
+            assert!(is_told("its") || is_told("their"), "{message}");
         }
         // A command that does not move needs no stop.
         let mut session = Session::on(&fleet);
@@ -430,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn the_user_is_asked_with_what_is_at_stake() {
+    fn question_before_sending_names_the_risk_of_the_command() {
         let question = |line: &str| {
             let ranges = Some(MotionRanges::V4_3);
             let command = typed::<Arguments>(line).command.command(ranges.as_ref()).unwrap();
@@ -440,7 +443,7 @@ mod tests {
         };
         assert_eq!(question("read-pid --index 1"), None);
         assert_eq!(question("stop"), None);
-        for (line, told) in [
+        for (line, message) in [
             ("torque --current-a 1", "torque (0xA1): current 1 A. This may set a shaft in motion,"),
             (
                 "motion --position-rad 1 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0",
@@ -462,23 +465,29 @@ mod tests {
             ),
         ] {
             let asked = question(line).unwrap();
-            assert!(asked.starts_with("Motor 1 will be sent ") && asked.contains(told), "{asked}");
+            assert!(
+                asked.starts_with("Motor 1 will be sent ") && asked.contains(message),
+                "{asked}"
+            );
         }
     }
 
     #[test]
-    fn to_all_goes_one_frame() {
+    fn command_to_all_is_sent_as_one_frame() {
         let (outcome, packets) = send(&Fleet::new(3), "--id all read-status2");
         assert_eq!(outcome, Ok(()));
         let channel = Channel::Command(Target::All);
         let to_all = packets.iter().filter(|packet| packet.channel == channel);
         assert_eq!(to_all.map(|packet| packet.data[0]).collect::<Vec<_>>(), [0x9C]);
-        let (told, _) = failed(&Fleet::new(3), "--id all raw C0 0 0 0 0 0 0 0");
-        assert!(told.starts_with("no reply from motors 1 2 3: firmware may not know"), "{told}");
+        let (message, _) = failed(&Fleet::new(3), "--id all raw C0 0 0 0 0 0 0 0");
+        assert!(
+            message.starts_with("no reply from motors 1 2 3: firmware may not know"),
+            "{message}"
+        );
     }
 
     #[test]
-    fn what_a_cut_bus_has_not_carried_to_all_is_not_told_as_sent() {
+    fn command_to_all_that_a_cut_bus_dropped_is_not_reported_as_sent() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         fleet.world.cut(fleet.drives[0].station());
         let small = ControllerConfig { transmit_queue: 1, ..ControllerConfig::SOCKETCAN };
@@ -493,11 +502,11 @@ mod tests {
         let command = arguments.command.command(None).unwrap();
         let explainer = Explainer::new(Firmware::V4_3);
         let sending = Sending { command, explainer, json: false };
-        let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())
+        let Err(Unfinished::Failed(message)) = sending.to_all(&mut session, MotorId::MIN.into())
         else {
             panic!("it was not sent");
         };
-        assert_eq!(told, "the bus carried nothing, so the command was dropped");
+        assert_eq!(message, "the bus carried nothing, so the command was dropped");
     }
 
     #[test]
@@ -505,13 +514,13 @@ mod tests {
         let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
         let ranges = MotionRanges::new(limits).unwrap();
         let v4_4 = Fleet::new(2).firmware(Firmware::V4_4).motion_ranges(ranges);
-        let (told, _) = failed(&v4_4, "--id 1 read-single-turn-angle");
+        let (message, _) = failed(&v4_4, "--id 1 read-single-turn-angle");
         assert_eq!(
-            told,
+            message,
             "motor 1 speaks v4.4: v4.4 has no read-single-turn-angle (0x94): take read-single-turn-angle-v4.4"
         );
-        let (told, packets) = failed(&v4_4, "bus-id --access read");
-        assert_eq!(told, "motor 1 speaks v4.4: v4.4 has no bus-id (0x79)");
+        let (message, packets) = failed(&v4_4, "bus-id --access read");
+        assert_eq!(message, "motor 1 speaks v4.4: v4.4 has no bus-id (0x79)");
         assert!(packets.iter().all(|packet| packet.data[0] != 0x79));
         for id in ["1", "all"] {
             let line = format!("--id {id} read-single-turn-angle-v4.4");
@@ -524,10 +533,10 @@ mod tests {
         let motion =
             "--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
         let unknown = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
-        let (told, packets) = failed(&unknown, motion);
+        let (message, packets) = failed(&unknown, motion);
         assert!(
-            told.contains("version date 2025070202, which is not that of a known firmware"),
-            "{told}"
+            message.contains("version date 2025070202, which is not that of a known firmware"),
+            "{message}"
         );
         let is_motion = |packet: &Packet| packet.channel == Channel::Motion(MotorId::MIN);
         assert!(!packets.iter().any(is_motion));

@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_the_user_is_asked_about_is_looked_at_and_what_does_not_move_is_refused_to_two() {
+    fn shared_id_check_refuses_writes_looks_before_moves_and_skips_reads() {
         use Opcode::{
             ActiveReply, CommunicationLossProtection, FunctionControl, IncrementalPosition,
             LockBrake, Motion, ReadPid, ReadStatus1, ReleaseBrake, Reset, SetBaudRate,
@@ -386,15 +386,15 @@ mod tests {
     }
 
     #[test]
-    fn what_writes_or_lets_go_is_refused_to_two_motors_of_one_id() {
+    fn two_motors_of_one_id_are_refused() {
         let refused = |fleet: &Fleet| {
             let mut session = Session::on(&fleet.on_can(1_000_000).unwrap());
             session.refuse_shared(MotorId::MIN)
         };
         assert_eq!(refused(&Fleet::new(2)), Ok(()));
         let outcome = refused(&Fleet::new(2).all_with_id(MotorId::MIN));
-        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.starts_with("two motors seem to have id 1: connect only one"), "{told}");
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.starts_with("two motors seem to have id 1: connect only one"), "{message}");
     }
 
     /// A motor that reports its errors on its own (function 3) has to be restarted for them.
@@ -411,19 +411,22 @@ mod tests {
     }
 
     #[test]
-    fn where_the_bus_carries_nothing_no_motor_is_named_that_may_not_be_there() {
+    fn bus_that_carries_nothing_is_reported_without_naming_motors() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         fleet.world.cut(fleet.drives[0].station());
         let outcome = Session::on(&fleet).meant(Target::All);
-        let told = "the bus carried nothing, so the command was dropped";
-        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
+        let message = "the bus carried nothing, so the command was dropped";
+        assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
     }
 
     #[test]
-    fn who_keeps_a_port_is_ended_so_that_its_motors_stop_and_if_it_is_frozen_all_the_same() {
-        let told = PortError::InUse("/dev/ttyUSB0".to_owned()).to_string();
-        assert!(told.contains("by Ctrl-C or SIGTERM so that it can stop its motors"), "{told}");
-        assert!(told.contains("SIGKILL"), "{told}");
-        assert!(told.contains("its motors go on then until they are stopped"), "{told}");
+    fn message_of_a_port_in_use_says_how_to_end_its_owner_safely() {
+        let message = PortError::InUse("/dev/ttyUSB0".to_owned()).to_string();
+        assert!(
+            message.contains("by Ctrl-C or SIGTERM so that it can stop its motors"),
+            "{message}"
+        );
+        assert!(message.contains("SIGKILL"), "{message}");
+        assert!(message.contains("its motors go on then until they are stopped"), "{message}");
     }
 }

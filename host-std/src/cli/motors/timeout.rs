@@ -86,17 +86,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_user_is_asked_with_what_a_protection_does_to_a_motor_that_holds() {
+    fn question_before_a_protection_says_that_it_ends_a_hold() {
         let asked = |millis| question(MotorId::MIN, Milliseconds::from_raw(millis));
         assert!(asked(100).contains("also while it holds still or a position"), "{}", asked(100));
         assert!(!asked(0).contains("hold"), "{}", asked(0));
     }
 
     #[test]
-    fn what_is_not_confirmed_is_not_said_to_be_set() {
-        let told = |told| sentence(MotorId::MIN, Milliseconds::from_raw(500), told);
-        assert!(told(Protection::Confirmed).starts_with("motor 1 cuts its output when it hears"));
-        let doubt = told(Protection::AcknowledgedOnly(Milliseconds::from_raw(0)));
+    fn protection_that_was_only_acknowledged_is_not_reported_as_set() {
+        let message = |protection| sentence(MotorId::MIN, Milliseconds::from_raw(500), protection);
+        assert!(
+            message(Protection::Confirmed).starts_with("motor 1 cuts its output when it hears")
+        );
+        let doubt = message(Protection::AcknowledgedOnly(Milliseconds::from_raw(0)));
         assert!(doubt.starts_with("motor 1 has acknowledged 500 ms with 0 ms"), "{doubt}");
     }
 }

@@ -64,28 +64,28 @@ mod tests {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = turning(&fleet);
         let log = fleet.world.log();
-        let told = make(&mut session, MotorId::MIN).unwrap_err();
+        let message = make(&mut session, MotorId::MIN).unwrap_err();
         assert!(
-            matches!(&told, Unfinished::Failed(told) if told.contains("turns at 1")),
-            "{told:?}"
+            matches!(&message, Unfinished::Failed(message) if message.contains("turns at 1")),
+            "{message:?}"
         );
         assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
     }
 
     #[test]
-    fn where_the_motor_stands_is_its_zero_afterwards() {
+    fn current_position_becomes_the_zero() {
         let mut session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
         let (max_speed, angle) = (MaxSpeed::from_raw(360), Angle::from_raw(3_000));
         session.ask(MotorId::MIN, AbsolutePosition { max_speed, angle }).unwrap();
         let arrived = session.master.now() + Duration::from_secs(2);
         session.wait_until(arrived).unwrap();
-        let told = make(&mut session, MotorId::MIN).unwrap();
+        let message = make(&mut session, MotorId::MIN).unwrap();
         // It arrives within 0.1 degrees, and stays there while its output is off.
         let degrees = |behind| -> f64 {
-            let (_, rest) = told.split_once(behind).unwrap();
+            let (_, rest) = message.split_once(behind).unwrap();
             rest.split(' ').next().unwrap().parse().unwrap()
         };
-        assert!((degrees("what was ") - 30.0).abs() < 0.1, "{told}");
-        assert!(degrees("the motor reads ").abs() < 0.1, "{told}");
+        assert!((degrees("what was ") - 30.0).abs() < 0.1, "{message}");
+        assert!(degrees("the motor reads ").abs() < 0.1, "{message}");
     }
 }

@@ -111,14 +111,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn links_replace_links_that_nobody_has_and_go_with_their_owner() {
+    fn links_replace_abandoned_links_and_are_removed_with_their_owner() {
         let folder = tempfile::tempdir().unwrap();
         let links = || Links::in_folder(Some(folder.path())).unwrap();
         let mut first = links();
         let link = first.add("rs485", Path::new("/dev/null")).unwrap().unwrap();
         let mut second = links();
-        let told = second.add("rs485", Path::new("/dev/zero")).unwrap_err();
-        assert!(told.starts_with("another simulation has the link "), "{told}");
+        let message = second.add("rs485", Path::new("/dev/zero")).unwrap_err();
+        assert!(message.starts_with("another simulation has the link "), "{message}");
         assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/null"));
         second.add("slcan", Path::new("/dev/zero")).unwrap();
         drop(first);
@@ -148,9 +148,12 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, "mine").unwrap();
         for path in [file.clone(), file.join("drives")] {
-            let told = MemoryFolder::open(&path).unwrap_err();
-            assert!(told.starts_with("expected a folder, "), "{told}");
-            assert!(told.ends_with(&format!("{}: take another folder", path.display())), "{told}");
+            let message = MemoryFolder::open(&path).unwrap_err();
+            assert!(message.starts_with("expected a folder, "), "{message}");
+            assert!(
+                message.ends_with(&format!("{}: take another folder", path.display())),
+                "{message}"
+            );
         }
     }
 }

@@ -142,7 +142,7 @@ mod tests {
         RobotBus { fleet, kind, bit_rate, adapter, bursts, mechanics: None, interface }
     }
 
-    fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {
+    fn printed(names: [Option<&str>; 2], json: bool) -> Vec<String> {
         lines(&served(names), names[0].is_some(), false, json)
     }
 
@@ -160,16 +160,16 @@ mod tests {
     }
 
     #[test]
-    fn in_lock_step_nobody_is_sent_to_scan() {
-        let told = lines(&served([None; 2]), false, true, false);
-        assert!(!told.iter().any(|line| line.contains("try:")), "{told:?}");
-        assert_eq!(told.last().unwrap(), "Ctrl-C ends it.");
+    fn lock_step_output_does_not_suggest_a_scan() {
+        let printed = lines(&served([None; 2]), false, true, false);
+        assert!(!printed.iter().any(|line| line.contains("try:")), "{printed:?}");
+        assert_eq!(printed.last().unwrap(), "Ctrl-C ends it.");
     }
 
     #[test]
-    fn people_read() {
+    fn places_as_text() {
         assert_eq!(
-            told([None; 2], false),
+            printed([None; 2], false),
             [
                 "RS485 line   /dev/pts/7   115200 bit/s, echo   motors 1 2",
                 "SLCAN        here/slcan -> /dev/pts/7 CAN at 500000 bit/s   motors 1 2",
@@ -181,7 +181,7 @@ mod tests {
             ]
         );
         assert_eq!(
-            told([Some("gripper"), Some("arm")], false),
+            printed([Some("gripper"), Some("arm")], false),
             [
                 "gripper      RS485 line   /dev/pts/7   115200 bit/s, echo   motors 1 2",
                 "arm          SLCAN        here/slcan -> /dev/pts/7 CAN at 500000 bit/s   motors 1 2",
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn motors_with_the_same_id_are_told_each() {
+    fn motors_with_the_same_id_are_listed_each() {
         let mut bus = bus(None, BusKind::Can, 500_000);
         bus.fleet = Fleet::new(3).all_with_id(MotorId::MIN);
         let place = Place::on_interface(&bus, "vcan0");
@@ -203,10 +203,10 @@ mod tests {
     }
 
     #[test]
-    fn scripts_read() {
+    fn places_as_json() {
         let rs485 = r#"{"name":"rs485","kind":"rs485","path":"/dev/pts/7","bit_rate":115200,"motors":[1,2],"bus":"rs485:/dev/pts/7@115200,echo"}"#;
         let slcan = r#"{"name":"can","kind":"slcan","path":"/dev/pts/7","link":"here/slcan","bit_rate":500000,"motors":[1,2],"bus":"slcan:here/slcan@500000"}"#;
         let can = r#"{"name":"can","kind":"can","interface":"vcan0","bit_rate":500000,"motors":[1,2],"bus":"vcan0"}"#;
-        assert_eq!(told([None; 2], true), [rs485, slcan, can]);
+        assert_eq!(printed([None; 2], true), [rs485, slcan, can]);
     }
 }
