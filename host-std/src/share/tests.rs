@@ -74,8 +74,8 @@ fn turn_by_id(fleet: &CanFleet) {
 
 /// Checks that a call was told of this motor, and this.
 #[track_caller]
-fn tells<E: Debug>(told: &SharedBusError<E>, motor: u8, why: impl Display) {
-    assert_eq!(told.to_string(), format!("motor {motor}: {why}"));
+fn tells<E: Debug>(returned: &SharedBusError<E>, motor: u8, why: impl Display) {
+    assert_eq!(returned.to_string(), format!("motor {motor}: {why}"));
 }
 
 /// The packets that were on the wire since this was last asked.
@@ -92,7 +92,7 @@ pub(super) fn packets(log: &Log<SimpleFrame>) -> Vec<Packet> {
 }
 
 #[test]
-fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
+fn eight_threads_ask_eight_motors_at_once_and_get_their_own_replies() {
     let (fleet, bus) = shared(8);
     turn_by_id(&fleet);
     let log = fleet.world.log();
@@ -121,9 +121,9 @@ fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
     assert!(most > 1, "one at a time");
 }
 
-/// The third is not there; two of the first motor's go one after the other.
+/// The third motor is not there; the two commands of the first go one after the other.
 #[test]
-fn a_joint_ask_is_under_way_to_all_at_once_and_gives_each_its_own_outcome() {
+fn joint_ask_is_sent_to_all_at_once_and_returns_an_outcome_for_each() {
     let (fleet, bus) = shared(3);
     turn_by_id(&fleet);
     fleet.world.cut(fleet.drives[2].station());
@@ -140,7 +140,7 @@ fn a_joint_ask_is_under_way_to_all_at_once_and_gives_each_its_own_outcome() {
 }
 
 #[test]
-fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
+fn stop_by_one_thread_ends_the_moves_of_others_with_an_error() {
     let (fleet, bus) = shared(2);
     let log = fleet.world.log();
     let moving = thread::spawn({
@@ -170,8 +170,8 @@ fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
     assert_eq!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
     let refused = moving.join().unwrap();
     tells(&refused, 1, RequestError::Stopped);
-    let told = asking.join().unwrap().unwrap_err();
-    tells(&told, 2, Failure::Stopped);
+    let returned = asking.join().unwrap().unwrap_err();
+    tells(&returned, 2, Failure::Stopped);
 
     // Nothing that moves follows it, until it is lifted.
     packets(&log);
@@ -207,7 +207,7 @@ fn the_last_handle_stops_the_motors_and_ends_the_thread() {
 }
 
 #[test]
-fn a_thread_that_is_left_stops_the_motors_though_another_has_a_handle() {
+fn guard_stops_the_motors_at_its_end_though_another_handle_exists() {
     let (fleet, bus) = shared(1);
     let log = fleet.world.log();
     let run = |work: fn(Guard<CanError>)| {
@@ -234,7 +234,7 @@ fn a_thread_that_is_left_stops_the_motors_though_another_has_a_handle() {
 }
 
 #[test]
-fn a_stop_of_motors_that_nobody_has_named_is_over_when_it_was_sent() {
+fn stop_without_named_motors_returns_once_it_was_sent() {
     let fleet = Fleet::new(2).on_rs485(1_000_000).unwrap();
     // The line is not free at once.
     let turnaround = Duration::from_millis(50);
@@ -257,7 +257,7 @@ fn a_stop_of_motors_that_nobody_has_named_is_over_when_it_was_sent() {
 }
 
 #[test]
-fn an_id_that_nobody_has_is_forgotten_and_no_stop_waits_for_it() {
+fn forgotten_id_is_not_awaited_by_a_stop() {
     let (_fleet, bus) = shared(1);
     assert!(bus.ask(id(7), ReadStatus1).is_err());
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), id(7).into());
@@ -267,7 +267,7 @@ fn an_id_that_nobody_has_is_forgotten_and_no_stop_waits_for_it() {
 }
 
 #[test]
-fn who_has_not_confirmed_the_last_stop_is_told_to_subscribers() {
+fn subscribers_get_the_motors_that_did_not_confirm_the_last_stop() {
     let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
     let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
     for motor in [1, 2] {
@@ -276,12 +276,12 @@ fn who_has_not_confirmed_the_last_stop_is_told_to_subscribers() {
     fleet.world.cut(fleet.drives[1].station());
     let events = bus.subscribe(1_000);
     drop(bus);
-    let told: Vec<_> = events.collect();
-    assert_eq!(told, [Event::StopUnconfirmed { motor: id(2) }]);
+    let reported: Vec<_> = events.collect();
+    assert_eq!(reported, [Event::StopUnconfirmed { motor: id(2) }]);
 }
 
 #[test]
-fn who_does_not_take_its_events_loses_them_and_holds_nobody_up() {
+fn slow_subscriber_loses_its_own_events_and_no_others() {
     let (_fleet, bus) = shared(1);
     let (mut slow, quick) = (bus.subscribe(3), bus.subscribe(1_000));
     drop(bus.subscribe(1));
@@ -409,7 +409,7 @@ fn hold_up(order: &AtomicU32) {
 }
 
 #[test]
-fn a_stop_in_which_the_program_is_suspended_is_answered_by_the_motors() {
+fn stop_during_which_the_program_is_suspended_is_confirmed() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), turn(90.0)).unwrap();
     order.store(SUSPEND_AT_WORK, Ordering::SeqCst);
@@ -417,14 +417,14 @@ fn a_stop_in_which_the_program_is_suspended_is_answered_by_the_motors() {
 }
 
 #[test]
-fn after_a_panic_subscribers_are_told_who_has_not_confirmed_the_stop() {
+fn subscribers_get_the_motors_unconfirmed_after_a_panic() {
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), turn(90.0)).unwrap();
     let events = bus.subscribe(100);
     fleet.world.cut(fleet.drives[0].station());
     order.store(PANIC_ONCE, Ordering::SeqCst);
-    let told: Vec<_> = events.collect();
-    assert_eq!(told, [Event::StopUnconfirmed { motor: id(1) }]);
+    let reported: Vec<_> = events.collect();
+    assert_eq!(reported, [Event::StopUnconfirmed { motor: id(1) }]);
 }
 
 #[test]
@@ -434,12 +434,12 @@ fn a_panic_in_the_last_stop_is_no_confirmation() {
     let events = bus.subscribe(100);
     // Once in a round, and again in the stop that follows.
     order.store(PANIC, Ordering::SeqCst);
-    let told: Vec<_> = events.collect();
-    assert_eq!(told, [Event::StopUnconfirmed { motor: id(1) }]);
+    let reported: Vec<_> = events.collect();
+    assert_eq!(reported, [Event::StopUnconfirmed { motor: id(1) }]);
 }
 
 #[test]
-fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
+fn bus_error_is_returned_to_the_next_caller() {
     let (_fleet, order, bus) = fragile();
     let is_bus_off =
         |error| matches!(error, SharedBusError::Bus(error) if *error == CanError::BusOff);
@@ -449,15 +449,15 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
         thread::yield_now();
     }
     // The thread may be about to lay the error down.
-    let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
-    assert!(is_bus_off(told));
+    let returned = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+    assert!(is_bus_off(returned));
     // Until it works again.
     while bus.ask(id(1), ReadStatus1).is_err() {}
 
     order.store(FAIL, Ordering::SeqCst);
     for _ in 0..3 {
-        let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
-        assert!(is_bus_off(told));
+        let returned = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+        assert!(is_bus_off(returned));
     }
     // A stop goes on trying.
     order.store(FAIL_AT_WORK, Ordering::SeqCst);
@@ -465,9 +465,9 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
     assert_eq!(order.load(Ordering::SeqCst), WORK, "it has failed");
 }
 
-/// One caller after another, and those who take no answer hear what became of the motors.
+/// Each caller gets the error, also one that sets points; the events still show what became of the motors.
 #[test]
-fn while_the_bus_fails_everybody_is_told_and_subscribers_hear_the_master() {
+fn failing_bus_returns_errors_to_callers_and_events_to_subscribers() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let mut events = bus.subscribe(100);
@@ -477,8 +477,8 @@ fn while_the_bus_fails_everybody_is_told_and_subscribers_hear_the_master() {
         thread::yield_now();
     }
     for _ in 0..1_000 {
-        let told = bus.set_point(id(1), turn(90.0)).unwrap_err();
-        assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+        let returned = bus.set_point(id(1), turn(90.0)).unwrap_err();
+        assert!(matches!(returned, SharedBusError::Bus(_)), "{returned}");
     }
     assert_eq!(events.next(), Some(Event::SetPointDropped { motor: id(1) }));
     order.store(WORK, Ordering::SeqCst);
@@ -489,7 +489,7 @@ fn while_the_bus_fails_everybody_is_told_and_subscribers_hear_the_master() {
 }
 
 #[test]
-fn who_watches_a_bus_by_a_weak_handle_sees_its_end() {
+fn subscriber_with_a_weak_handle_sees_the_end_of_the_bus() {
     let (_fleet, bus) = shared(1);
     let (events, weak) = (bus.subscribe(100), bus.downgrade());
     let watching = thread::spawn(move || {
@@ -521,7 +521,7 @@ fn stops_of_two_buses_are_under_way_together() {
 }
 
 #[test]
-fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
+fn set_point_that_waited_for_a_blocked_bus_is_dropped() {
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let (log, mut events) = (fleet.world.log(), bus.subscribe(100));
@@ -542,9 +542,9 @@ fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
     ));
 }
 
-/// It was laid down before the program was suspended, or held, and nobody had looked at it.
+/// The set-point was set before the program was suspended, and the thread of the bus had not looked at it.
 #[test]
-fn a_set_point_that_waited_while_the_program_was_suspended_is_too_old() {
+fn set_point_that_waited_through_a_suspension_is_dropped() {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let order = Arc::new(AtomicU32::new(WORK));
     let fragile = Fragile(fleet.master(), Arc::clone(&order));
@@ -572,19 +572,19 @@ fn a_stop_on_a_dead_bus_is_given_up() {
     let unconfirmed = bus.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(unconfirmed, [id(1), id(2)].into_iter().collect());
     // Who watches hears it as soon as who has called for it.
-    let told = [1, 2].map(|motor| Event::StopUnconfirmed { motor: id(motor) });
-    assert_eq!([events.next(), events.next()], told.map(Some));
+    let unconfirmed = [1, 2].map(|motor| Event::StopUnconfirmed { motor: id(motor) });
+    assert_eq!([events.next(), events.next()], unconfirmed.map(Some));
     order.store(WORK, Ordering::SeqCst);
 }
 
 #[test]
-fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
+fn no_call_waits_for_ever_for_a_driver_that_does_not_return() {
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let log = fleet.world.log();
     hold_up(&order);
     held_after(&bus, HELD);
-    let (sender, told) = mpsc::channel();
+    let (sender, returned) = mpsc::channel();
     // Threads that wait for ever do not end with this one.
     let asking = |call: fn(&SharedBus<CanError>) -> Option<SharedBusError<CanError>>| {
         let (bus, sender) = (bus.clone(), sender.clone());
@@ -600,19 +600,19 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
         bus.set_point(id(2), turn(1.0)).unwrap();
         let again = || bus.set_point(id(2), turn(1.0)).err();
         let pause = |_: &_| thread::sleep(std::time::Duration::from_millis(10));
-        (0..1_000).map(|_| again()).inspect(pause).find_map(|told| told)
+        (0..1_000).map(|_| again()).inspect(pause).find_map(|returned| returned)
     });
     asking(|bus| {
         let begun = std::time::Instant::now();
-        let told = bus.ask_together([1; 8].map(|motor| (id(motor), ReadMultiTurnAngle)));
+        let returned = bus.ask_together([1; 8].map(|motor| (id(motor), ReadMultiTurnAngle)));
         // As one: each by itself would take a second.
         assert!(begun.elapsed() < 8 * HELD);
-        told.into_iter().map(|outcome| outcome.err()).reduce(|one, other| one.and(other))?
+        returned.into_iter().map(|outcome| outcome.err()).reduce(|one, other| one.and(other))?
     });
     assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), id(1).into());
     for _ in 0..4 {
-        let told = told.recv_timeout(NOT_HELD).expect("an answer");
-        assert!(matches!(told, Some(SharedBusError::Held)), "{told:?}");
+        let returned = returned.recv_timeout(NOT_HELD).expect("an answer");
+        assert!(matches!(returned, Some(SharedBusError::Held)), "{returned:?}");
     }
     held_after(&bus, NOT_HELD);
     order.store(WORK, Ordering::SeqCst);
@@ -626,7 +626,7 @@ const STEP: IncrementalPosition =
     IncrementalPosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(1_000) };
 
 #[test]
-fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() {
+fn move_given_up_by_its_caller_is_not_sent_when_the_driver_returns() {
     for outcome in [WORK, FAIL_ONCE] {
         let (fleet, order, bus) = fragile();
         bus.ask(id(1), ReadStatus1).unwrap();
@@ -634,8 +634,8 @@ fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() 
         // The master has it by then, and has not sent it.
         order.store(BLOCK_AT_WORK, Ordering::SeqCst);
         held_after(&bus, HELD);
-        let told = bus.ask(id(1), STEP).unwrap_err();
-        assert!(matches!(told, SharedBusError::Held), "{told}");
+        let returned = bus.ask(id(1), STEP).unwrap_err();
+        assert!(matches!(returned, SharedBusError::Held), "{returned}");
         held_after(&bus, NOT_HELD);
         order.store(outcome, Ordering::SeqCst);
         while bus.ask(id(1), ReadStatus1).is_err() {}
@@ -648,7 +648,7 @@ fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() 
 }
 
 #[test]
-fn who_is_told_an_error_of_the_bus_has_not_moved_anything_later() {
+fn move_that_returned_a_bus_error_is_not_sent_later() {
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let log = fleet.world.log();
@@ -661,33 +661,33 @@ fn who_is_told_an_error_of_the_bus_has_not_moved_anything_later() {
         thread::yield_now();
     }
     order.store(FAIL_ONCE, Ordering::SeqCst);
-    let told = asking.join().unwrap().unwrap_err();
-    assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+    let returned = asking.join().unwrap().unwrap_err();
+    assert!(matches!(returned, SharedBusError::Bus(_)), "{returned}");
     while bus.ask(id(1), ReadStatus1).is_err() {}
     assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
 }
 
 #[test]
-fn what_the_driver_says_is_called_an_error_of_the_bus_once() {
-    let told = || SharedBusError::Bus(Arc::new(CanError::BusOff));
-    assert_eq!(told().to_string(), "the bus reports an error: BusOff");
-    assert_eq!(CallError::Bus(told()).to_string(), "the bus reports an error: BusOff");
+fn driver_error_is_introduced_once_in_its_text() {
+    let returned = || SharedBusError::Bus(Arc::new(CanError::BusOff));
+    assert_eq!(returned().to_string(), "the bus reports an error: BusOff");
+    assert_eq!(CallError::Bus(returned()).to_string(), "the bus reports an error: BusOff");
 }
 
 #[test]
-fn who_waits_for_long_is_not_told_that_the_driver_is_held() {
+fn long_reply_timeout_is_not_reported_as_a_held_driver() {
     // It idles until the time is up, which is longer than a round may take, unless it is woken.
     let (fleet, bus) = shared(1);
     held_after(&bus, HELD);
     fleet.world.cut(fleet.drives[0].station());
     let patience = Patience { reply_timeout: Duration::from_millis(1_200), attempts: 1 };
-    let told = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
-    tells(&told, 1, Failure::NoReply);
+    let returned = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
+    tells(&returned, 1, Failure::NoReply);
     fleet.world.mend(fleet.drives[0].station());
 }
 
 #[test]
-fn of_several_guarded_buses_none_waits_for_another() {
+fn guarded_buses_are_stopped_without_waiting_for_one_another() {
     let (_first, order, held) = fragile();
     let (second, _, bus) = fragile();
     for bus in [&held, &bus] {
@@ -707,7 +707,7 @@ fn of_several_guarded_buses_none_waits_for_another() {
 }
 
 #[test]
-fn a_guard_with_the_last_handle_tells_that_the_driver_does_not_come_back() {
+fn guard_with_the_last_handle_reports_a_driver_that_does_not_return() {
     let (_fleet, order, bus) = fragile();
     hold_up(&order);
     held_after(&bus, HELD);
@@ -717,26 +717,28 @@ fn a_guard_with_the_last_handle_tells_that_the_driver_does_not_come_back() {
 }
 
 #[test]
-fn a_question_does_not_wait_for_ever_behind_a_stop_that_a_dead_bus_keeps() {
+fn question_after_a_stop_on_a_dead_bus_is_refused_in_time() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     order.store(REFUSE, Ordering::SeqCst);
     let unconfirmed = bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(unconfirmed, id(1).into());
-    let told = bus.ask(id(1), ReadStatus1).unwrap_err();
-    tells(&told, 1, RequestError::Busy);
+    let returned = bus.ask(id(1), ReadStatus1).unwrap_err();
+    tells(&returned, 1, RequestError::Busy);
     order.store(WORK, Ordering::SeqCst);
 }
 
 #[test]
-fn a_panic_of_the_bus_stops_the_motors_and_is_told() {
+fn panic_of_the_bus_stops_the_motors_and_is_returned() {
     let (fleet, order, bus) = fragile();
     let log = fleet.world.log();
     bus.ask(id(1), turn(90.0)).unwrap();
     let mut events = bus.subscribe(100);
     order.store(PANIC_ONCE, Ordering::SeqCst);
-    let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
-    assert!(matches!(told, SharedBusError::Panicked(words) if &*words == "the adapter is on fire"));
+    let returned = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+    assert!(
+        matches!(returned, SharedBusError::Panicked(words) if &*words == "the adapter is on fire")
+    );
     assert!(matches!(bus.set_point(id(1), turn(1.0)), Err(SharedBusError::Panicked(_))));
     assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).is_err());
     assert_eq!(events.by_ref().filter(|event| !matches!(event, Event::Reply { .. })).count(), 0);

@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_move_that_another_thread_stops_ends_and_says_so() {
+    fn move_that_another_thread_stops_ends_with_that_reason() {
         let (_fleet, bus) = shared(1);
         let ended = moved(&bus, id(1), || {
             let bus = bus.clone();
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_another_thread_has_switched_off_on_its_way_stays_off() {
+    fn motor_switched_off_by_another_thread_during_a_move_stays_off() {
         let (_fleet, bus) = shared(1);
         let ended = moved(&bus, id(1), || {
             let bus = bus.clone();
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_began_before_a_restart_moves_nothing_behind_it() {
+    fn caller_that_began_before_a_restart_moves_nothing_after_it() {
         let (_fleet, bus) = shared(1);
         let way = &mut Way::on(&bus, id(1));
         bus.ask(id(1), ReadMultiTurnAngle).unwrap();
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_restarts_on_its_way_goes_on_with_nothing() {
+    fn drive_that_restarts_during_a_move_is_not_moved_until_resumed() {
         let restart = "reset@1+1s".parse().unwrap();
         let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
         let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
@@ -364,15 +364,15 @@ mod tests {
             matches!(call, CallError::Refused { refusal: RequestError::Restarted, .. })
         };
         assert!(matches!(&why, MoveFailure::Call(call) if is_restart(call)), "{why}");
-        let mut told = std::iter::from_fn(|| events.try_next());
-        assert!(told.any(|event| event == Event::Restarted { motor: id(1) }));
+        let mut reported = std::iter::from_fn(|| events.try_next());
+        assert!(reported.any(|event| event == Event::Restarted { motor: id(1) }));
         bus.lift_stop().unwrap();
         assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "until it is resumed");
         assert!(stands(&bus, id(1)));
     }
 
     #[test]
-    fn who_panics_on_the_way_leaves_through_the_stop() {
+    fn panic_during_a_move_stops_the_motor() {
         let (_fleet, bus) = shared(1);
         let panics = || -> () { panic!("as it is meant to") };
         assert!(catch_unwind(AssertUnwindSafe(|| moved(&bus, id(1), panics))).is_err());
@@ -380,9 +380,9 @@ mod tests {
         assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "the stop is in force");
     }
 
-    /// The other way is refused at once: nothing has come of it when the first looks again.
+    /// The second move is refused at once: nothing of it was sent when the first looks again.
     #[test]
-    fn a_motor_on_its_way_is_sent_nowhere_else() {
+    fn second_move_of_a_moving_motor_is_refused() {
         let (fleet, bus) = shared(1);
         let log = fleet.world.log();
         let mut is_asked = false;
@@ -393,10 +393,10 @@ mod tests {
                 let other = thread::spawn(move || {
                     bus.move_to(id(1), to(-90.0, 60.0), &MoveLimits::default(), go_on)
                 });
-                let told = other.join().unwrap().unwrap_err();
-                assert!(matches!(told.why, MoveFailure::UnderWay), "{told}");
+                let returned = other.join().unwrap().unwrap_err();
+                assert!(matches!(returned.why, MoveFailure::UnderWay), "{returned}");
                 assert_eq!(
-                    told.to_string(),
+                    returned.to_string(),
                     "motor 1 has not arrived: another move of it is under way and goes on: wait for its end, or stop \
                      the motor"
                 );
@@ -437,23 +437,23 @@ mod tests {
         assert!((arrival.angle.degrees() - 90.0).abs() <= 0.2, "{}", arrival.angle);
     }
 
-    /// Its brake is opened again.
-    fn holds_behind_a_brake_that_slips(bus: &SharedBus<CanError>) {
-        let told = bus.lock_brake(id(1));
+    /// Locking the brake fails, and the motor holds again with its brake open.
+    fn check_that_the_motor_holds_after_a_slip(bus: &SharedBus<CanError>) {
+        let returned = bus.lock_brake(id(1));
         assert!(
-            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
-            "{told:?}"
+            matches!(returned, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{returned:?}"
         );
     }
 
-    /// It is opened again behind 0x78, which this way has sent itself.
+    /// The lock (0x78) that this caller sent itself does not keep it from opening the brake again.
     #[test]
-    fn what_a_brake_does_not_hold_its_motor_holds_again() {
+    fn motor_holds_its_load_again_when_its_brake_slips() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true).load(load));
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
-        holds_behind_a_brake_that_slips(&bus);
+        check_that_the_motor_holds_after_a_slip(&bus);
         let degrees = || bus.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
         let held = degrees();
         thread::sleep(time::Duration::from_millis(300));
@@ -482,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn what_its_brake_does_not_hold_its_motor_holds_again_though_the_lock_was_not_answered() {
+    fn motor_holds_its_load_again_after_an_unanswered_lock_that_slips() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
         let (port, clock) = (Deaf(fleet.world.port()), fleet.world.clock());
@@ -490,11 +490,11 @@ mod tests {
         let bus = SharedBus::new(master, StopKind::Hold);
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
-        holds_behind_a_brake_that_slips(&bus);
+        check_that_the_motor_holds_after_a_slip(&bus);
     }
 
     #[test]
-    fn a_motor_is_told_to_stop_by_itself_when_nobody_speaks_to_it() {
+    fn protection_is_stored_in_the_drive_and_refused_while_stopped() {
         let (fleet, bus) = shared(1);
         let timeout = Milliseconds::from_raw(500);
         assert_eq!(bus.protect(id(1), timeout).unwrap(), Protection::Confirmed);
@@ -510,9 +510,9 @@ mod tests {
         packets(log).iter().filter(|packet| is_command(packet)).map(|it| it.data[0]).collect()
     }
 
-    /// Another thread moves it all the while.
+    /// Another thread sets points for it all the while.
     #[test]
-    fn a_drive_that_has_restarted_has_no_error_and_is_moved_by_nobody_until_it_is_resumed() {
+    fn restarted_drive_has_no_error_and_is_not_moved_until_resumed() {
         let (fleet, bus) = shared_fleet(&Fleet::new(2).brakes(true));
         fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
         let errors = || bus.ask(id(1), ReadStatus1).unwrap().errors;
@@ -527,12 +527,12 @@ mod tests {
                 }
             });
             let log = fleet.world.log();
-            let told = bus.restart(id(1));
+            let returned = bus.restart(id(1));
             let sent = sent(&log);
             // Behind the last 0x76 nothing has moved it.
             let refused = bus.set_point(id(1), to(90.0, 10.0));
             is_over.store(true, Ordering::Relaxed);
-            assert!(told.is_ok(), "{told:?}");
+            assert!(returned.is_ok(), "{returned:?}");
             let restarted = sent.iter().rposition(|byte| *byte == 0x76).expect("it was told to");
             assert!(!sent[restarted..].contains(&0xA4), "{sent:02X?}");
             let refused = refused.unwrap_err().to_string();
@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_has_not_heard_of_its_restart_is_told_again() {
+    fn restart_that_a_drive_missed_is_sent_again() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
         fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
@@ -572,14 +572,14 @@ mod tests {
         let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
         let bus = SharedBus::new(master, StopKind::Hold);
         assert!(!bus.ask(id(1), ReadStatus1).unwrap().errors.is_empty());
-        let told = bus.restart(id(1));
-        assert!(told.is_ok(), "{told:?}");
+        let returned = bus.restart(id(1));
+        assert!(returned.is_ok(), "{returned:?}");
         assert!(bus.ask(id(1), ReadStatus1).unwrap().errors.is_empty());
         assert!(bus.set_point(id(1), to(5.0, 10.0)).is_err(), "until it is resumed");
     }
 
     #[test]
-    fn what_a_motor_holds_its_brake_holds_while_it_restarts() {
+    fn brake_holds_the_load_while_its_motor_restarts() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
         let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
@@ -587,40 +587,40 @@ mod tests {
         let angle_deg = || fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
         let (log, held_deg) = (fleet.world.log(), angle_deg());
         bus.restart(id(1)).unwrap();
-        let mut told = sent(&log);
-        told.retain(|byte| [0x76, 0x78, 0x80].contains(byte));
-        assert_eq!(told, [0x78, 0x80, 0x76]);
+        let mut commands = sent(&log);
+        commands.retain(|byte| [0x76, 0x78, 0x80].contains(byte));
+        assert_eq!(commands, [0x78, 0x80, 0x76]);
         assert!((angle_deg() - held_deg).abs() < 1.0, "{held_deg} and {}", angle_deg());
     }
 
     #[test]
-    fn what_its_brake_does_not_hold_is_held_again_and_does_not_restart() {
+    fn motor_whose_brake_slips_holds_its_load_and_is_not_restarted() {
         let load = Load { torque_nm: 5.0, ..Load::NONE };
         let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true).load(load));
         bus.release_brake(id(1)).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
         let log = fleet.world.log();
-        let told = bus.restart(id(1));
+        let returned = bus.restart(id(1));
         assert!(
-            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
-            "{told:?}"
+            matches!(returned, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{returned:?}"
         );
         assert!(!sent(&log).contains(&0x76));
     }
 
     #[test]
-    fn a_stop_refuses_a_restart_before_the_motor_lets_go_of_what_it_holds() {
+    fn restart_while_stopped_is_refused_before_the_motor_is_switched_off() {
         let (fleet, bus) = shared(1);
         assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap(), MotorSet::EMPTY);
         let log = fleet.world.log();
-        let told = bus.restart(id(1)).unwrap_err();
-        assert!(told.to_string().contains("the motors were stopped"), "{told}");
+        let returned = bus.restart(id(1)).unwrap_err();
+        assert!(returned.to_string().contains("the motors were stopped"), "{returned}");
         assert_eq!(sent(&log), [0_u8; 0]);
     }
 
-    /// The stop comes while its brake locks.
+    /// The stop comes while the brake locks for the restart.
     #[test]
-    fn who_began_to_restart_before_a_stop_does_not_switch_off_what_that_holds() {
+    fn stop_during_a_restart_keeps_the_motor_switched_on() {
         let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true));
         bus.release_brake(id(1)).unwrap();
         let log = fleet.world.log();
@@ -630,16 +630,16 @@ mod tests {
                 thread::sleep(time::Duration::from_millis(1));
             }
             assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
-            let told = restart.join().unwrap().unwrap_err();
-            assert!(told.to_string().contains("the motors were stopped"), "{told}");
+            let returned = restart.join().unwrap().unwrap_err();
+            assert!(returned.to_string().contains("the motors were stopped"), "{returned}");
         });
         let sent = sent(&log);
         assert!(sent.contains(&0x81) && !sent.contains(&0x80), "{sent:02X?}");
     }
 
-    /// The stop comes between the restart and what goes before it.
+    /// The stop comes between the shutdown of the motor and the reset (0x76).
     #[test]
-    fn who_began_to_restart_before_a_stop_restarts_nothing_behind_it() {
+    fn reset_of_a_restart_begun_before_a_stop_is_refused() {
         let (fleet, bus) = shared(1);
         let way = &mut Way::on(&bus, id(1));
         block_on(way.ask(id(1), Shutdown)).unwrap();

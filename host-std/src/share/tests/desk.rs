@@ -10,7 +10,7 @@ use crate::share::state::Clerk;
 /// Notes what it gets; is busy with questions, or answers them at once.
 #[derive(Default)]
 struct Notes {
-    told: Vec<String>,
+    noted: Vec<String>,
     /// Whom the questions were for, and their first bytes.
     bytes: Vec<(u8, u8)>,
     takes_questions: bool,
@@ -21,7 +21,7 @@ struct Notes {
 
 impl Clerk<CanError> for Notes {
     fn obey(&mut self, order: Order<CanError>) {
-        self.told.push(match order {
+        self.noted.push(match order {
             Order::StopAll { .. } => "stop all".to_owned(),
             Order::Stop { motor, kind, .. } => format!("stop {motor}: {kind:?}"),
             Order::LiftStop => "lift".to_owned(),
@@ -39,7 +39,7 @@ impl Clerk<CanError> for Notes {
         set_point: Untyped,
         found_at: Instant,
     ) -> Result<(), RequestError> {
-        self.told.push(format!("{motor}: {set_point:?}"));
+        self.noted.push(format!("{motor}: {set_point:?}"));
         self.found_at = Some(found_at);
         if motor == id(3) { Err(RequestError::Restarted) } else { Ok(()) }
     }
@@ -49,7 +49,7 @@ impl Clerk<CanError> for Notes {
     }
 
     fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
-        self.told.push(format!("{}?", question.motor));
+        self.noted.push(format!("{}?", question.motor));
         self.bytes.push((question.motor.get(), question.command.encode()[0]));
         if self.takes_questions {
             let Question { motor, answer, .. } = question;
@@ -71,7 +71,7 @@ fn new_desk() -> Desk<CanError> {
 fn taken(desk: &Desk<CanError>) -> Vec<String> {
     let mut notes = Notes::default();
     assert!(desk.take(&mut notes));
-    notes.told
+    notes.noted
 }
 
 fn set(motor: u8, dps: f32) -> String {
@@ -79,7 +79,7 @@ fn set(motor: u8, dps: f32) -> String {
 }
 
 #[test]
-fn of_set_points_the_newest_is_taken_once() {
+fn only_the_newest_set_point_is_taken_and_only_once() {
     let desk = new_desk();
     for (motor, dps) in [(1, 10.0), (2, 20.0), (1, 30.0)] {
         desk.set_point(id(motor), Untyped::of(&turn(dps))).unwrap();
@@ -89,15 +89,15 @@ fn of_set_points_the_newest_is_taken_once() {
     // What was refused is told once, in place of the next.
     desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
     assert_eq!(taken(&desk), [set(3, 1.0)]);
-    let told = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
-    tells(&told, 3, RequestError::Restarted);
+    let returned = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
+    tells(&returned, 3, RequestError::Restarted);
     assert!(taken(&desk).is_empty());
     desk.set_point(id(3), Untyped::of(&turn(3.0))).unwrap();
     assert_eq!(taken(&desk), [set(3, 3.0)]);
 }
 
 #[test]
-fn nothing_older_than_a_stop_outlives_it() {
+fn set_points_and_moves_older_than_a_stop_are_dropped() {
     let desk = new_desk();
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     let moving = ask(&desk, 1, turn(2.0));
@@ -106,8 +106,8 @@ fn nothing_older_than_a_stop_outlives_it() {
     assert_eq!(taken(&desk), [set(1, 1.0), "1?".to_owned(), "2?".to_owned()]);
     desk.set_point(id(2), Untyped::of(&turn(3.0))).unwrap();
     let stopping = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
-    let told = desk.wait(moving).unwrap_err();
-    tells(&told, 1, Failure::Stopped);
+    let returned = desk.wait(moving).unwrap_err();
+    tells(&returned, 1, Failure::Stopped);
     let refused = desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap_err();
     tells(&refused, 1, RequestError::Stopped);
     // Not even when it is lifted before the thread has seen it.
@@ -124,15 +124,14 @@ fn nothing_older_than_a_stop_outlives_it() {
     assert_eq!(taken(&desk), [set(2, 8.0), "2?".to_owned(), "1?".to_owned()]);
     let mut free = Notes { takes_questions: true, ..Notes::default() };
     assert!(desk.take(&mut free));
-    assert_eq!(free.told, ["2?".to_owned(), "1?".to_owned(), set(1, 7.0)]);
+    assert_eq!(free.noted, ["2?".to_owned(), "1?".to_owned(), set(1, 7.0)]);
     let ending = desk.wait(ending).unwrap_err();
     tells(&ending, 1, Failure::NoReply);
     let reading = ask(&desk, 2, ReadStatus1);
 
     // Whoever still waits is told by the end.
     desk.has_panicked(Arc::from("the test is over"));
-    let is_over =
-        |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
+    let is_over = |returned| matches!(returned, SharedBusError::Panicked(words) if &*words == "the test is over");
     assert!(is_over(desk.wait(reading).unwrap_err()));
     assert!(is_over(desk.wait(stopping).unwrap_err()));
 }
@@ -143,7 +142,7 @@ fn ask(desk: &Desk<CanError>, motor: u8, command: impl Command) -> Awaited<Data,
 }
 
 #[test]
-fn what_ends_motion_goes_first_and_drops_the_moves_that_wait() {
+fn commands_that_end_motion_go_first_and_drop_waiting_moves() {
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
     let desk = new_desk();
     let _other = ask(&desk, 2, ReadStatus1);
@@ -166,7 +165,7 @@ fn what_ends_motion_goes_first_and_drops_the_moves_that_wait() {
 }
 
 #[test]
-fn what_ends_motion_otherwise_and_is_older_than_a_stop_does_not_follow_it() {
+fn older_command_that_ends_motion_otherwise_does_not_follow_a_stop() {
     // A motor that was switched off would be switched on, and one that is held let go.
     for kind in [StopKind::Off, StopKind::Hold] {
         for is_of_all in [true, false] {
@@ -186,7 +185,7 @@ fn what_ends_motion_otherwise_and_is_older_than_a_stop_does_not_follow_it() {
 }
 
 #[test]
-fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
+fn caller_that_began_before_a_stop_may_not_move_the_motor() {
     let ends: [fn(&Desk<CanError>); 4] = [
         |desk| drop(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
         |desk| drop(desk.stop(id(1), StopKind::Off, None)),
@@ -208,7 +207,7 @@ fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
 }
 
 #[test]
-fn somebody_elses_error_keeps_no_stop_from_the_bus() {
+fn bus_error_meant_for_another_caller_does_not_hold_back_a_stop() {
     let desk = new_desk();
     for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
         desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
@@ -216,19 +215,19 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
         let stopping = desk.ask(id(1), command, Insistence::Usual, None);
         let mut free = Notes { takes_questions: true, ..Notes::default() };
         assert!(desk.take(&mut free));
-        assert_eq!(free.told, ["1?"], "the set-point is older");
+        assert_eq!(free.noted, ["1?"], "the set-point is older");
         assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed { .. })));
         // Whoever moves a motor is told.
         for _ in 0..2 {
-            let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
-            assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+            let returned = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
+            assert!(matches!(returned, SharedBusError::Bus(_)), "{returned}");
         }
         desk.works();
     }
 }
 
 #[test]
-fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
+fn bus_error_returned_only_to_gone_callers_is_returned_to_the_next() {
     let desk = new_desk();
     let reading = Untyped::of(&ReadStatus1);
     let is_told = |outcome| matches!(outcome, Err(SharedBusError::Bus(_)));
@@ -249,9 +248,9 @@ fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
     assert!(desk.ask(id(1), reading, Insistence::Usual, None).is_ok());
 }
 
-/// It fails in round after round, and somebody comes in between.
+/// The bus fails in two rounds, and a caller gets the error between them.
 #[test]
-fn an_outage_that_somebody_was_told_is_not_told_when_it_is_over() {
+fn outage_already_returned_is_not_returned_again_once_it_is_over() {
     let desk = new_desk();
     let error = Arc::new(CanError::BusOff);
     desk.fail(&error, []);
@@ -262,7 +261,7 @@ fn an_outage_that_somebody_was_told_is_not_told_when_it_is_over() {
 }
 
 #[test]
-fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
+fn command_that_ends_motion_survives_an_error_without_its_caller() {
     let desk = new_desk();
     drop(ask(&desk, 1, Shutdown).unwrap());
     drop(ask(&desk, 2, ReadStatus1).unwrap());
@@ -271,9 +270,10 @@ fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() 
 }
 
 #[test]
-fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
-    let is_refused =
-        |told| matches!(told, SharedBusError::Refused { refusal: RequestError::Restarted, .. });
+fn moves_older_than_a_resumption_do_not_follow_a_restart() {
+    let is_refused = |returned| {
+        matches!(returned, SharedBusError::Refused { refusal: RequestError::Restarted, .. })
+    };
     let desk = new_desk();
     let reading = ask(&desk, 1, ReadStatus1);
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
@@ -307,25 +307,25 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
 }
 
 #[test]
-fn a_set_point_that_waits_behind_what_ends_motion_is_as_old_as_when_it_was_found_first() {
+fn set_point_waiting_for_a_shutdown_keeps_its_age() {
     let desk = new_desk();
     let ending = ask(&desk, 1, Shutdown);
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     let mut notes = Notes { looked_at: Instant::from_millis(10), ..Notes::default() };
     assert!(desk.take(&mut notes));
-    assert_eq!(notes.told, ["1?"], "the motor is busy");
+    assert_eq!(notes.noted, ["1?"], "the motor is busy");
     let mut notes = Notes { looked_at: Instant::from_millis(900), ..Notes::default() };
     notes.takes_questions = true;
     assert!(desk.take(&mut notes));
     assert_eq!(
-        (notes.told, notes.found_at),
+        (notes.noted, notes.found_at),
         (vec!["1?".to_owned(), set(1, 1.0)], Some(Instant::from_millis(10)))
     );
     drop(ending);
 }
 
 #[test]
-fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
+fn stop_by_a_caller_from_before_a_shutdown_leaves_the_motor_off() {
     type End = fn(&Desk<CanError>);
     let ends: [(End, &str); 14] = [
         (|desk| drop(ask(desk, 1, Shutdown)), "Off"),
@@ -387,7 +387,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         let since = desk.past(id(1));
         end(&desk);
         drop(desk.stop(id(1), StopKind::Hold, Some(since)));
-        let mut stops = taken(&desk).into_iter().filter(|told| told.starts_with("stop 1"));
+        let mut stops = taken(&desk).into_iter().filter(|returned| returned.starts_with("stop 1"));
         assert_eq!(stops.next_back(), Some(format!("stop 1: {kind}")), "{at}");
     }
     // Who begins now, or is nobody's, does as it says.
@@ -399,7 +399,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
 }
 
 #[test]
-fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_hold_it() {
+fn hold_by_a_caller_from_before_a_shutdown_is_refused() {
     let desk = new_desk();
     let (since, hold) = (desk.past(id(1)), Untyped::of(&Stop));
     drop(ask(&desk, 1, Shutdown));
@@ -411,9 +411,9 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_hold_it() {
     assert!(desk.ask(id(1), hold, Insistence::Usual, now).is_ok());
 }
 
-/// As a brake is opened behind a hold, again where that is not answered.
+/// Opening a brake does so: it holds the motor first, and again where that is not answered.
 #[test]
-fn who_has_ended_a_motion_himself_goes_on_with_the_motor_unless_another_ends_it_too() {
+fn caller_goes_on_after_its_own_stop_but_not_after_anothers() {
     let desk = new_desk();
     let release =
         |since| desk.ask(id(1), Untyped::of(&ReleaseBrake), Insistence::Usual, Some(since));
@@ -427,7 +427,7 @@ fn who_has_ended_a_motion_himself_goes_on_with_the_motor_unless_another_ends_it_
 }
 
 #[test]
-fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
+fn restart_reported_while_its_resumption_waits_blocks_nothing() {
     let desk = new_desk();
     desk.order(Order::Resume(id(1))).unwrap();
     desk.has_restarted(id(1));
