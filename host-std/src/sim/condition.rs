@@ -117,10 +117,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn wrong_conditions_are_refused_with_what_is_expected() {
         for wrong in ["", "angle", "angle=5", "angel>5", "angle>", "angle>x", "angle>inf"] {
-            let told = wrong.parse::<Condition>().unwrap_err().to_string();
-            assert!(told.starts_with("expected angle, speed, current"), "{told}");
+            let message = wrong.parse::<Condition>().unwrap_err().to_string();
+            assert!(message.starts_with("expected angle, speed, current"), "{message}");
         }
     }
 }

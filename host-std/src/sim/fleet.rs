@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn a_v4_4_says_that_it_is_one_and_answers_0x94_in_its_own_way() {
+    fn v4_4_drive_reports_its_version_date_and_has_its_own_reply_to_0x94() {
         let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
         let ranges = MotionRanges::new(limits).unwrap();
         let v4_4 = turned(Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges));
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaft_is_where_the_last_run_has_left_it() {
+    fn shaft_starts_where_the_last_run_left_it() {
         let folder = tempfile::tempdir().unwrap();
         let fleet = || Fleet::new(1).memory_folder(folder.path());
         let angle_deg = |fleet: &BusFleet<CanBus>| {
@@ -398,20 +398,20 @@ mod tests {
     }
 
     #[test]
-    fn shafts_start_where_it_is_said_unless_they_were_left_elsewhere() {
+    fn start_angle_counts_unless_a_run_left_the_shaft_elsewhere() {
         let folder = tempfile::tempdir().unwrap();
         let kept =
             |start_deg| Fleet::new(1).memory_folder(folder.path()).start_angle_deg(start_deg);
         let angles_deg = |fleet: Fleet| {
             let fleet = fleet.on_can(1_000_000).unwrap();
             let mut master = fleet.master::<1>();
-            let told = master.ask(MotorId::MIN, ReadMultiTurnAngle).unwrap().angle.degrees();
-            (told, fleet.drives[0].with(|drive| drive.plant().output_angle_deg()))
+            let reported = master.ask(MotorId::MIN, ReadMultiTurnAngle).unwrap().angle.degrees();
+            (reported, fleet.drives[0].with(|drive| drive.plant().output_angle_deg()))
         };
         let is_at = |fleet, expected: f64| {
-            let (told, angle) = angles_deg(fleet);
+            let (reported, angle) = angles_deg(fleet);
             assert!((angle - expected).abs() < 1e-9, "{angle}");
-            assert!((f64::from(told) - expected).abs() <= 0.01, "{told}");
+            assert!((f64::from(reported) - expected).abs() <= 0.01, "{reported}");
         };
         is_at(Fleet::new(1).start_angle_deg(-35.5), -35.5);
         is_at(kept(90.0), 90.0);
@@ -419,10 +419,10 @@ mod tests {
         assert!(Fleet::new(1).start_angle_deg(f64::NAN).on_can(1_000_000).is_err());
     }
 
-    /// An X6-60's gear has 10' of play. It once started in its middle, and what leaned on a side went on by half of
-    /// the play in each run.
+    /// An X6-60's gear has 10' of play. A shaft once started in its middle, and a load that leaned on one side moved
+    /// on by half of the play in each run.
     #[test]
-    fn a_load_that_leans_on_a_side_of_its_gears_play_does_so_in_the_next_run() {
+    fn load_keeps_its_side_of_the_gears_play_in_the_next_run() {
         let folder = tempfile::tempdir().unwrap();
         let hanging = Load { torque_nm: -6.0, ..Load::NONE };
         let fleet = Fleet::new(1).brakes(true).load(hanging).memory_folder(folder.path());
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaft_left_beyond_a_stop_that_is_new_is_told_with_its_motor() {
+    fn shaft_left_beyond_a_new_end_stop_is_reported_with_its_motor() {
         let folder = tempfile::tempdir().unwrap();
         let fleet = || Fleet::new(1).memory_folder(folder.path());
         let before = fleet().start_angle_deg(140.0).on_can(1_000_000).unwrap();
@@ -453,13 +453,13 @@ mod tests {
         drop(before);
         let stop = EndStop { at_deg: 90.0, stiffness_nm_per_rad: 5_000.0, restitution: 0.0 };
         let ended = fleet().load(Load { upper_stop: Some(stop), ..Load::NONE });
-        let told = ended.on_can(1_000_000).unwrap_err().to_string();
+        let reported = ended.on_can(1_000_000).unwrap_err().to_string();
         let expected = "motor 1, which the run before has left at 140 deg: angle of the shaft between its end stops";
-        assert!(told.starts_with(expected), "{told}");
+        assert!(reported.starts_with(expected), "{reported}");
     }
 
     #[test]
-    fn each_motor_has_its_load_and_none_is_for_a_motor_that_is_not_there() {
+    fn each_motor_has_its_load_and_one_for_an_absent_motor_is_refused() {
         let inertia = |inertia_kg_m2| Load { inertia_kg_m2, ..Load::NONE };
         let id = |number| MotorId::new(number).unwrap();
         let loaded = |motor| Fleet::new(3).load(inertia(1.0)).load_of(id(motor), inertia(2.0));

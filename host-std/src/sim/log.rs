@@ -215,21 +215,21 @@ mod tests {
     const MOTOR: MotorId = MotorId::MIN;
 
     #[test]
-    fn a_command_refused_500_times_a_second_is_a_line_with_its_number_a_second() {
+    fn command_refused_500_times_a_second_is_one_line_a_second() {
         let fleet = Fleet::new(1).brakes(true).name("arm").on_can(1_000_000).unwrap();
         let mut log = DriveLog::of(&fleet);
         let mut master = fleet.master::<1>();
-        let mut told = Vec::new();
+        let mut logged = Vec::new();
         for tick in 0..1_250_u32 {
             let motion = RawMotion { position: tick as u16, ..RawMotion::decode(&[0; 8]) };
             master.set_point(MOTOR, motion).unwrap();
             let next = master.now() + Duration::from_millis(2);
             master.run_until(next, |_| {}).unwrap();
-            told.extend(log.poll(fleet.world.now()));
+            logged.extend(log.poll(fleet.world.now()));
         }
-        let counts: Vec<u32> = told.iter().map(|record| record.count).collect();
+        let counts: Vec<u32> = logged.iter().map(|record| record.count).collect();
         // At 0, 1 and 2 s; the rest of the third second is told when that is over.
-        assert_eq!(counts.len(), 3, "{told:?}");
+        assert_eq!(counts.len(), 3, "{logged:?}");
         assert_eq!(counts[0], 1);
         assert!(counts[1..].iter().all(|count| (499..=501).contains(count)), "{counts:?}");
         fleet.world.run_for(Duration::from_secs(1));
@@ -237,23 +237,29 @@ mod tests {
         assert_eq!(counts.iter().sum::<u32>() + rest[0], 1_250);
         fleet.world.run_for(Duration::from_secs(5));
         assert_eq!(log.poll(fleet.world.now()), []);
-        let LogEvent::Drive(Event::NotRun { reason, .. }) = told[0].event else {
-            panic!("{}", told[0])
+        let LogEvent::Drive(Event::NotRun { reason, .. }) = logged[0].event else {
+            panic!("{}", logged[0])
         };
         assert_eq!(reason, NotRunReason::BrakeLocked);
-        assert!(told[1].to_string().contains("s  arm motor 1 answers motion and does not run it"));
-        assert!(told[1].to_string().ends_with(&format!("({} times)", counts[1])), "{}", told[1]);
+        assert!(
+            logged[1].to_string().contains("s  arm motor 1 answers motion and does not run it")
+        );
+        assert!(
+            logged[1].to_string().ends_with(&format!("({} times)", counts[1])),
+            "{}",
+            logged[1]
+        );
     }
 
     #[test]
-    fn limits_are_told_when_they_begin_and_when_they_end() {
+    fn limits_are_logged_when_they_begin_and_when_they_end() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let wall = EndStop { at_deg: 0.0, stiffness_nm_per_rad: 200.0, restitution: 0.0 };
         let load = Load { upper_stop: Some(wall), ..Load::NONE };
         fleet.drives[0].with(|drive| drive.plant_mut().set_load(load)).unwrap();
         let mut log = DriveLog::of(&fleet);
         let mut master = fleet.master::<1>();
-        let mut told = || {
+        let mut logged = || {
             fleet.world.run_for(Duration::from_millis(500));
             let records = log.poll(fleet.world.now());
             let own = |record: LogRecord| match record.event {
@@ -266,27 +272,27 @@ mod tests {
         let angle = Angle::from_degrees(90.0).unwrap();
         let max_torque = MaxTorque::from_percent(20.0).unwrap();
         master.ask(MOTOR, ForcePosition { max_torque, max_speed, angle }).unwrap();
-        assert_eq!(told(), [Event::Limited(Limit::CommandTorque)]);
+        assert_eq!(logged(), [Event::Limited(Limit::CommandTorque)]);
         master.ask(MOTOR, Shutdown).unwrap();
-        assert_eq!(told(), [Event::Unlimited(Limit::CommandTorque)]);
+        assert_eq!(logged(), [Event::Unlimited(Limit::CommandTorque)]);
 
         master.ask(MOTOR, FunctionControl::MaxPositiveAngle(500)).unwrap();
-        assert_eq!(told(), []);
+        assert_eq!(logged(), []);
         master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
-        let limited = told();
+        let limited = logged();
         let [Event::TargetLimited { asked_deg: 90.0, limit_deg: 5.0, .. }] = limited[..] else {
             panic!("{limited:?}");
         };
         // What does not run has no target.
         fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::OVER_SPEED));
-        told();
+        logged();
         master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
-        let not_run = told();
+        let not_run = logged();
         assert!(matches!(not_run[..], [Event::NotRun { .. }]), "{not_run:?}");
     }
 
     #[test]
-    fn a_cable_that_is_cut_and_mended_is_told_each_time_and_once() {
+    fn each_cut_and_mend_of_a_cable_is_logged_once() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut log = DriveLog::of(&fleet);
         let station = fleet.drives[1].station();
@@ -298,15 +304,15 @@ mod tests {
             fleet.world.mend(station);
         }
         fleet.world.mend(fleet.drives[0].station());
-        let told = log.poll(fleet.world.now());
+        let logged = log.poll(fleet.world.now());
         let expected = [
             "0.000000 s  can motor 2 is off the bus: its cable is cut",
             "0.010000 s  can motor 2 has its cable back",
             "0.010000 s  can motor 2 is off the bus: its cable is cut",
             "0.020000 s  can motor 2 has its cable back",
         ];
-        assert_eq!(told.iter().map(ToString::to_string).collect::<Vec<_>>(), expected);
-        assert_eq!(serde_json::to_value(told[0].event).unwrap(), "cable-cut");
+        assert_eq!(logged.iter().map(ToString::to_string).collect::<Vec<_>>(), expected);
+        assert_eq!(serde_json::to_value(logged[0].event).unwrap(), "cable-cut");
         fleet.world.run_for(Duration::from_secs(2));
         assert_eq!(log.poll(fleet.world.now()), []);
         // One that was cut before there was a log.
@@ -314,12 +320,12 @@ mod tests {
         let mut log = DriveLog::of(&fleet);
         fleet.world.cut(station);
         fleet.world.mend(station);
-        let told = log.poll(fleet.world.now());
-        assert_eq!(told.iter().map(|it| it.event).collect::<Vec<_>>(), [LogEvent::CableMended]);
+        let logged = log.poll(fleet.world.now());
+        assert_eq!(logged.iter().map(|it| it.event).collect::<Vec<_>>(), [LogEvent::CableMended]);
     }
 
     #[test]
-    fn faults_by_chance_are_told_to_whom_they_strike_with_their_number() {
+    fn random_faults_are_logged_with_their_motor_and_number() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut log = DriveLog::of(&fleet);
         let always = |plan: fn(&mut FaultPlan)| {
@@ -330,22 +336,22 @@ mod tests {
         let [first, second] = [0, 1].map(|place| fleet.drives[place].station());
         let (to, from) = (Direction::ToNodes, Direction::ToPorts);
         let mut master = fleet.master::<2>();
-        let mut told = |asked: u8| {
+        let mut logged = |asked: u8| {
             let _ = master.ask(MotorId::new(asked).unwrap(), ReadStatus1);
-            let told = log.poll(fleet.world.now());
-            told.iter().map(|it| (it.motor.get(), it.event, it.count)).collect::<Vec<_>>()
+            let logged = log.poll(fleet.world.now());
+            logged.iter().map(|it| (it.motor.get(), it.event, it.count)).collect::<Vec<_>>()
         };
-        assert_eq!(told(1), []);
+        assert_eq!(logged(1), []);
         // Asked three times, each lost: one line at once, and the number after a second.
         fleet.world.set_node_faults(first, to, always(|plan| plan.lose = 1.0));
-        assert_eq!(told(1), [(1, LogEvent::FrameToDrive(FrameFault::Lost), 3)]);
+        assert_eq!(logged(1), [(1, LogEvent::FrameToDrive(FrameFault::Lost), 3)]);
         fleet.world.set_node_faults(first, to, None);
         fleet.world.set_node_faults(second, from, always(|plan| plan.duplicate = 1.0));
-        assert_eq!(told(2), [(2, LogEvent::FrameFromDrive(FrameFault::Duplicated), 1)]);
+        assert_eq!(logged(2), [(2, LogEvent::FrameFromDrive(FrameFault::Duplicated), 1)]);
         // Nobody but its sender hears that a frame was disturbed.
         fleet.world.set_node_faults(second, from, always(|plan| plan.corrupt = 1.0));
         let trace = fleet.world.log();
-        let broken = told(2);
+        let broken = logged(2);
         let [(2, LogEvent::FrameFromDrive(FrameFault::Broken), count)] = broken[..] else {
             panic!("{broken:?}");
         };
@@ -368,13 +374,13 @@ mod tests {
         let asked = master.now();
         master.ask(MOTOR, Reset).unwrap();
         fleet.world.run_for(Duration::from_millis(1));
-        let told = log.poll(fleet.world.now());
+        let logged = log.poll(fleet.world.now());
         // A frame of 8 bytes takes 111 µs and up to 24 stuff bits.
-        let after = told[0].at - asked;
+        let after = logged[0].at - asked;
         assert!((111..=135).contains(&after.as_micros()), "{after}");
-        let json = serde_json::to_value(&told[0]).unwrap();
+        let json = serde_json::to_value(&logged[0]).unwrap();
         let expected = serde_json::json!({
-            "at_us": told[0].at.as_micros(),
+            "at_us": logged[0].at.as_micros(),
             "bus": "can",
             "motor": 1,
             "count": 1,
@@ -385,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_is_told() {
+    fn number_of_lost_events_is_logged() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut log = DriveLog::of(&fleet);
         for _ in 0..20 {
@@ -394,18 +400,22 @@ mod tests {
                 drive.clear_fault(ErrorFlags::OVER_SPEED);
             });
         }
-        let told = log.poll(fleet.world.now());
+        let logged = log.poll(fleet.world.now());
         // Of 40 events 16 are kept.
-        assert_eq!(told[0].lost, 24);
-        assert!(told[0].to_string().ends_with("(24 events before it were lost)"), "{}", told[0]);
+        assert_eq!(logged[0].lost, 24);
+        assert!(
+            logged[0].to_string().ends_with("(24 events before it were lost)"),
+            "{}",
+            logged[0]
+        );
     }
 
-    /// Also of those that are only counted.
+    /// The events that are only counted take part in this, too.
     #[test]
-    fn each_event_is_told_or_counted_or_lost() {
+    fn each_event_is_logged_or_counted_or_lost() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut log = DriveLog::of(&fleet);
-        let mut told = Vec::new();
+        let mut logged = Vec::new();
         for times in [1, 20, 20] {
             for _ in 0..times {
                 fleet.drives[0].with(|drive| {
@@ -413,13 +423,13 @@ mod tests {
                     drive.clear_fault(ErrorFlags::OVER_SPEED);
                 });
             }
-            told.extend(log.poll(fleet.world.now()));
+            logged.extend(log.poll(fleet.world.now()));
         }
-        assert_eq!(told.len(), 2);
+        assert_eq!(logged.len(), 2);
         fleet.world.run_for(FOLD);
-        told.extend(log.poll(fleet.world.now()));
-        let sum = |of: fn(&LogRecord) -> u32| told.iter().map(of).sum::<u32>();
+        logged.extend(log.poll(fleet.world.now()));
+        let sum = |of: fn(&LogRecord) -> u32| logged.iter().map(of).sum::<u32>();
         // 2 * 16 are kept of 80 after the first two.
-        assert_eq!((sum(|it| it.count), sum(|it| it.lost)), (34, 48), "{told:?}");
+        assert_eq!((sum(|it| it.count), sum(|it| it.lost)), (34, 48), "{logged:?}");
     }
 }

@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn any_damage_is_told_left_as_found_and_can_be_replaced() {
+    fn damaged_file_is_reported_left_as_found_and_can_be_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = file_in(&folder);
         let whole = frame(br#"{"gain":1}"#);
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn other_content_is_told_apart_from_damage() {
+    fn undamaged_file_with_other_content_is_not_reported_as_damaged() {
         let folder = tempfile::tempdir().unwrap();
         let path = file_in(&folder);
         fs::write(&path, frame(b"[true]")).unwrap();

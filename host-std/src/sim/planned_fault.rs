@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn whom_and_when() {
+    fn motor_direction_condition_and_time_of_a_fault_are_read() {
         let motor = Some(MotorId::new(3).unwrap());
         let all = fault("lose=0.5@3,from-drives+1.5s");
         assert_eq!((all.motor, all.direction), (motor, Some(Direction::ToPorts)));
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn wrong_faults_are_refused_with_what_is_expected() {
         assert!(refused("loose").starts_with("expected lose, corrupt"));
         assert!(refused("loose").contains("stall, under-voltage"));
         for wrong in ["lose=2", "lose=-0.1", "lose=NaN", "lose="] {

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_whose_power_is_cycled_has_none_for_a_millisecond_of_its_bus() {
+    fn power_cycle_takes_a_drives_power_for_a_millisecond() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         fleet.world.run_for(Duration::from_micros(12_345));
         fleet.world.reset(fleet.drives[0].station());
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_to_be_read_or_sent_goes_with_the_power() {
+    fn frames_waiting_to_be_read_or_sent_are_lost_with_the_power() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let ask = can::encode(&ReadStatus1.packet(MotorId::MIN)).unwrap();
         let answers = |cycled: Option<u64>| {
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_drive_had_heard_of_a_frame_goes_with_its_power() {
+    fn partly_received_frame_is_lost_with_the_drives_power() {
         let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
         let whole = Frame::from_packet(&ReadStatus1.packet(MotorId::MIN)).unwrap().encode();
         let power = |is_on: bool| {
@@ -284,9 +284,9 @@ mod tests {
         assert_eq!([Loss::None, Loss::Cycle, Loss::ByHand].map(answers), [true, false, false]);
     }
 
-    /// As after an emergency stop that takes the motors' supply.
+    /// An emergency stop that takes the motors' supply leaves a bus like this.
     #[test]
-    fn drives_without_power_acknowledge_nothing_so_that_what_is_sent_waits_until_it_is_back() {
+    fn unpowered_drives_acknowledge_nothing_so_frames_wait_for_the_power() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let (log, port) = (fleet.world.log(), fleet.world.port());
         let power = |is_on: bool| {
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_power_cycle_starts_no_drive_that_has_no_supply_and_without_it_none_babbles() {
+    fn power_cycle_without_supply_starts_no_drive_and_no_babble() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let (station, mut log) = (fleet.drives[0].station(), DriveLog::of(&fleet));
         fleet.drives[0].with(|it| it.plant_mut().force_supply_voltage_v(Some(0.0))).unwrap();
@@ -336,8 +336,8 @@ mod tests {
         fleet.world.babble(station, Some(babble));
         fleet.world.reset(station);
         fleet.world.run_for(Duration::from_millis(30));
-        let told = log.poll(fleet.world.now());
-        assert!(told.iter().all(|it| it.event != LogEvent::Drive(Event::Started)), "{told:?}");
+        let logged = log.poll(fleet.world.now());
+        assert!(logged.iter().all(|it| it.event != LogEvent::Drive(Event::Started)), "{logged:?}");
         let sent = |it: &trace::Record<_>| matches!(it.event, trace::Event::Unacknowledged { .. });
         assert!(!trace.take().iter().any(sent));
     }

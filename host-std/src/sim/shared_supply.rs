@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_draws_all_see_sag() {
+    fn current_of_one_motor_sags_the_voltage_of_all() {
         let fleet = fleet(soft());
         let mut master = fleet.master::<2>();
         for motor in MotorId::all().take(2) {
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_feeds_back_the_others_see_and_a_brake_resistor_burns() {
+    fn feedback_of_one_motor_raises_all_and_a_brake_resistor_burns_it() {
         let brake = BrakeResistor { on_above_v: 55.0, off_below_v: 54.0, resistance_ohm: 5.0 };
         let voltages_v = |brake_resistor| {
             let fleet = fleet(Supply { brake_resistor, ..Supply::bench(48.0) });
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_many_feed_back_raises_the_voltage_as_far_as_what_one_does_and_stays_there() {
+    fn feedback_of_many_motors_raises_the_voltage_like_that_of_one() {
         // Diodes conduct in X15s that are turned too fast, 12 A per volt each.
         let model = MotorParameters::named("RMD-X15-P20-450").unwrap();
         let dps = 1.5 * model.rating.no_load_speed_rpm * 6.0;
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dip_behind_a_supply_that_takes_nothing_back_is_no_deeper_than_its_resistance_makes_it() {
+    fn dip_after_feedback_is_no_deeper_than_the_resistance_makes_it() {
         let fleet = fleet(Supply::bench(48.0));
         // A little above 48 V, as after a stop.
         fleet.drives[0].with(|it| it.plant_mut().set_output_speed_dps(1_600.0)).unwrap();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motors_own_supply_is_its_cable_then() {
+    fn own_supply_of_a_motor_becomes_its_cable_to_the_shared_one() {
         let fleet = fleet(soft());
         let brake = BrakeResistor { on_above_v: 20.0, off_below_v: 15.0, resistance_ohm: 5.0 };
         let other =
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn another_supply_takes_its_place() {
+    fn shared_supply_can_be_replaced() {
         let fleet = fleet(soft());
         let shared = fleet.shared_supply().unwrap();
         shared.set_supply(Supply::battery(24.0)).unwrap();
@@ -256,7 +256,7 @@ mod tests {
         assert!(Fleet::new(1).on_can(1_000_000).unwrap().shared_supply().is_none());
     }
 
-    /// As after an emergency stop, which takes the motors' power.
+    /// An emergency stop that takes the motors' power does the same.
     #[test]
     fn drives_whose_supply_is_taken_away_are_off_and_start_again_with_it() {
         let fleet = fleet(soft());
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_looks_often_at_a_supply_of_motors_that_stand() {
+    fn standing_motors_cost_few_steps_of_their_shared_supply() {
         let fleet = fleet(Supply::battery(48.0));
         let end = Instant::from_micros(100_000);
         let steps = std::iter::repeat_with(|| fleet.world.step());
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn nor_at_one_that_is_gone_and_a_drive_is_on_the_bus_as_soon_as_it_is_back() {
+    fn dead_supply_costs_few_steps_and_drives_start_once_it_is_back() {
         let fleet = fleet(soft());
         let (shared, mut master) = (fleet.shared_supply().unwrap(), fleet.master::<2>());
         shared.set_supply(Supply { voltage_v: 0.0, ..soft() }).unwrap();

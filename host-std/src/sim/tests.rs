@@ -73,7 +73,7 @@ fn a_task_moves_eight_motors_in_motion_mode() {
 }
 
 #[test]
-fn a_question_that_is_dropped_costs_nobody_an_answer() {
+fn dropped_question_costs_no_other_question_its_reply() {
     let fleet = on_can(2);
     fleet.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(30.0)).unwrap();
     let (mut bus, mut clock) = (fleet.async_master::<2>(), fleet.world.clock());
@@ -184,7 +184,7 @@ fn on_rs485_a_task_asks_moves_and_stops() {
 }
 
 #[test]
-fn a_full_controller_is_waited_for_and_a_line_until_the_last_byte_has_left() {
+fn sending_waits_for_a_full_controller_and_for_the_last_byte() {
     let fleet = on_can(1);
     let mut port = fleet.world.port_with(ControllerConfig::MAILBOXES);
     let channel = Channel::Command(Target::Motor(MotorId::MIN));

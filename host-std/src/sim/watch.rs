@@ -85,9 +85,9 @@ mod tests {
         assert_eq!(seen, [at(3_000), at(5_000)].concat());
     }
 
-    /// Its brake opens, and nothing holds it for 100 ms.
+    /// The brake opens, and nothing holds the load for 100 ms.
     #[test]
-    fn what_falls_meanwhile_is_seen_and_falls_as_it_would_unseen() {
+    fn watched_load_falls_exactly_as_an_unwatched_one() {
         let run = |is_watched: bool| {
             let hangs = Load { torque_nm: -3.0, ..Load::NONE };
             let fleet = Fleet::new(1).brakes(true).load(hangs).on_can(1_000_000).unwrap();

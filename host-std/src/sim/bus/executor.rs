@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn no_time_passes_while_a_task_has_something_to_do() {
+    fn virtual_time_stands_while_a_task_has_work() {
         let world = world();
         world.block_on(async {
             for _ in 0..100 {
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_on_from_one_thing_that_is_waited_for_to_the_next() {
+    fn virtual_time_jumps_from_one_awaited_event_to_the_next() {
         let (world, log) = (world(), RefCell::new(Vec::new()));
         let sleeper = async |name, times: [u64; 2]| {
             let mut clock = world.clock();
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_wait_any_more_keeps_nothing_waiting() {
+    fn dropped_wait_does_not_hold_back_the_world() {
         let world = world();
         let (mut long, mut short) = (world.clock(), world.clock());
         let first = world.block_on(select(long.wait_until(at(1_000)), short.wait_until(at(1))));
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn time_passes_alike_in_all_worlds() {
+    fn time_passes_alike_in_worlds_that_run_together() {
         let (can, line) = (world(), SerialWorld::new(115_200, 1));
         line.run_for(Duration::from_millis(5));
         let (mut of_can, mut of_line) = (can.clock(), line.clock());
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     #[should_panic = "nothing is left to happen"]
-    fn a_wait_for_what_cannot_come_is_told() {
+    fn wait_that_cannot_end_panics() {
         world().block_on(std::future::pending::<()>());
     }
 }

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chance_is_as_likely_as_it_says() {
+    fn chance_is_as_likely_as_its_probability() {
         let mut random = Random::new(7, Stream::Line);
         let hits = (0..10_000).filter(|_| random.chance(0.25)).count();
         // Standard deviation 43.

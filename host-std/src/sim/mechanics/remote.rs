@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_each_way() {
+    fn shafts_are_sent_and_received_as_one_line_each() {
         let (moved, asked) = asked("{\"shafts\":[{\"angle_deg\":-89.5,\"speed_dps\":2}]}\n");
         assert_eq!(moved, Ok(Shaft { angle_deg: -89.5, speed_dps: 2.0, ..shaft() }));
         let expected = r#"{"period_us":1000,"shafts":[{"motor":1,"torque_nm":1.5,"friction_nm":0.25,"angle_deg":-90.0,"speed_dps":0.5}]}"#;
@@ -134,11 +134,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_answer_is_told() {
-        let told = |answer: &str| asked(answer).0.unwrap_err();
-        assert!(told("").ends_with("it has closed the connection"));
-        assert!(told("{\"shafts\":[]").ends_with("found 12 without an end"));
-        assert!(told("{\"shafts\":[]}\n").ends_with("expected 1 shafts, found 0"));
-        assert!(told("{\"shaft\":[]}\n").contains("missing field `shafts`"));
+    fn wrong_answers_are_explained() {
+        let message = |answer: &str| asked(answer).0.unwrap_err();
+        assert!(message("").ends_with("it has closed the connection"));
+        assert!(message("{\"shafts\":[]").ends_with("found 12 without an end"));
+        assert!(message("{\"shafts\":[]}\n").ends_with("expected 1 shafts, found 0"));
+        assert!(message("{\"shaft\":[]}\n").contains("missing field `shafts`"));
     }
 }

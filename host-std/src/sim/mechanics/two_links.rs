@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn it_weighs_what_two_rods_weigh() {
+    fn own_torque_is_that_of_two_rods_held_level() {
         // Held out level: 1 kg at 0.5 m and 1 kg at 1.5 m; 1 kg at 0.5 m.
         let torque = arm().own_torque_nm([std::f64::consts::FRAC_PI_2, 0.0], NONE);
         assert!((torque[0] + 2.0 * 9.806_65).abs() < 1e-9 && (torque[1] + 4.903_325).abs() < 1e-9);

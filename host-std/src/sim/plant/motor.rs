@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_encoder_freezes_and_says_so() {
+    fn broken_encoder_freezes_and_reports_that() {
         let mut motor = x6();
         motor.set_output_speed_dps(360.0).unwrap();
         let before = motor.advance(&FREE, Duration::from_millis(1));
@@ -530,7 +530,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_moves_nothing() {
+    fn nan_and_infinity_move_nothing() {
         let mut motor = x6();
         let nan = Actuation { current_a: f32::NAN, output_on: true, brake_released: true };
         let measured = motor.advance(&nan, Duration::from_millis(10));

@@ -470,22 +470,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_key_is_told() {
+    fn errors_of_a_key_are_explained() {
         let ratio = "ratio = 19.612";
-        for (wrong, told) in [
+        for (wrong, message) in [
             ("ratio = 19.612\nteeth = 12", &["teeth", "ratio"][..]),
             ("", &["missing field `ratio`"]),
             ("ratio = \"twenty\"", &["ratio", "f64", "twenty"]),
         ] {
             let text = edited(ratio, wrong).unwrap_err().to_string();
-            assert!(told.iter().all(|word| text.contains(word)), "{text}");
+            assert!(message.iter().all(|word| text.contains(word)), "{text}");
         }
         // Whole numbers are figures too.
         assert_eq!(edited(ratio, "ratio = 20").unwrap().gear.ratio, 20.0);
     }
 
     #[test]
-    fn a_file_says_its_firmware_and_the_scales_that_depend_on_the_motor() {
+    fn file_needs_its_firmware_and_the_scales_that_this_leaves_open() {
         let v4_3 = "firmware = \"v4.3\"";
         assert!(edited(v4_3, "").unwrap_err().to_string().contains("missing field `firmware`"));
         let text = edited(v4_3, "firmware = \"v9\"").unwrap_err().to_string();
@@ -502,13 +502,13 @@ mod tests {
         assert_eq!((limits.position_rad, limits.torque_nm), (12.566, 60.0));
         let text = toml::to_string(&parameters).unwrap();
         assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
-        for (wrong, told) in [
+        for (wrong, message) in [
             ("", "missing field `torque_nm`"),
             ("torque_nm = -60", "torque range must be"),
             ("torque_nm = 60\nki = 1", "unknown field `ki`"),
         ] {
             let text = motion(wrong).unwrap_err().to_string();
-            assert!(text.contains(told), "{text}");
+            assert!(text.contains(message), "{text}");
         }
     }
 

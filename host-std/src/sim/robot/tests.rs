@@ -37,7 +37,7 @@ fn id(number: u8) -> MotorId {
 }
 
 #[test]
-fn a_motor_of_which_nothing_is_said_is_a_usual_one() {
+fn motor_with_only_an_id_is_the_default_one() {
     assert_eq!(motors("[[bus.motor]]\nid = 5"), [MotorSetup::new(id(5))]);
 }
 
@@ -187,7 +187,7 @@ fn the_motors_of_a_bus_may_share_a_supply() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_its_line() {
+fn errors_of_a_robot_file_name_their_line() {
     // Lines 1 to 4 are the bus's, 5 is the motor's head.
     let in_motor = |lines: &str| format!("{BUS}{MOTOR}{lines}");
     let mut others = Vec::new();
@@ -349,16 +349,16 @@ fn what_is_wrong_is_told_with_its_line() {
             "line 7: \"bursts\" is the bus's: say bursts_ms = 16 in its [[bus]]",
         ),
     ] {
-        let told = refused(&text);
-        if !told.starts_with(expected) || told.contains('\n') {
-            others.push(format!("{told}\n  instead of {expected}"));
+        let message = refused(&text);
+        if !message.starts_with(expected) || message.contains('\n') {
+            others.push(format!("{message}\n  instead of {expected}"));
         }
     }
     assert!(others.is_empty(), "{}", others.join("\n"));
 }
 
 #[test]
-fn files_of_models_are_beside_the_robots_own() {
+fn model_files_are_looked_for_beside_the_robot_file() {
     let folder = tempfile::tempdir().unwrap();
     let mut own = MODELS[0].toml.replace(MODELS[0].name, "my own");
     std::fs::write(folder.path().join("mine.toml"), &own).unwrap();
@@ -370,13 +370,19 @@ fn files_of_models_are_beside_the_robots_own() {
 
     own.push_str("\nnonsense = 1\n");
     std::fs::write(folder.path().join("mine.toml"), own).unwrap();
-    let told = Robot::from_file(&path).unwrap_err().to_string();
-    assert!(told.starts_with(&format!("{}, line 7: the model's file ", path.display())), "{told}");
-    assert!(told.contains("mine.toml\", line ") && !told.contains('\n'), "{told}");
-    assert!(told.contains(": unknown field `nonsense`"), "{told}");
+    let message = Robot::from_file(&path).unwrap_err().to_string();
+    assert!(
+        message.starts_with(&format!("{}, line 7: the model's file ", path.display())),
+        "{message}"
+    );
+    assert!(message.contains("mine.toml\", line ") && !message.contains('\n'), "{message}");
+    assert!(message.contains(": unknown field `nonsense`"), "{message}");
 
-    let told = Robot::from_file(folder.path().join("none.toml")).unwrap_err().to_string();
-    assert!(told.starts_with("the robot's file ") && told.contains("cannot be read"), "{told}");
+    let message = Robot::from_file(folder.path().join("none.toml")).unwrap_err().to_string();
+    assert!(
+        message.starts_with("the robot's file ") && message.contains("cannot be read"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -385,6 +391,6 @@ fn a_fleet_comes_from_a_file_of_one_bus() {
     let fleet = Fleet::from_toml(&one, Path::new("")).unwrap().on_rs485(115_200).unwrap();
     assert_eq!((fleet.name.as_str(), fleet.drives.len()), ("arm", 3));
     let two = format!("{one}{}{MOTOR}id = 1", BUS.replace("arm", "leg"));
-    let told = Fleet::from_toml(&two, "").unwrap_err().to_string();
-    assert!(told.contains("the file has 2"), "{told}");
+    let message = Fleet::from_toml(&two, "").unwrap_err().to_string();
+    assert!(message.contains("the file has 2"), "{message}");
 }

@@ -70,7 +70,7 @@ fn falls_below<B: Medium>(fleet: &BusFleet<B>, angle_deg: f64) -> u64 {
 }
 
 #[test]
-fn what_a_robots_file_plans_strikes_in_a_program_under_virtual_time() {
+fn faults_of_a_robot_file_strike_in_a_program_in_virtual_time() {
     let planned = robot(
         r#""cut@1+500ms", "mend@1+602ms", "reset@1+0.7s", "over-voltage@1+3ms", "over-speed@2?angle<80""#,
     );
@@ -93,15 +93,15 @@ fn what_a_robots_file_plans_strikes_in_a_program_under_virtual_time() {
         all.to_vec()
     };
     // A restart has no errors.
-    let told = |all: Vec<(u64, u8, String)>| -> Vec<_> {
+    let reported = |all: Vec<(u64, u8, String)>| -> Vec<_> {
         all.into_iter().filter(|(_, _, what)| !what.starts_with("FaultCleared")).collect()
     };
-    assert_eq!(told(struck(&planned.can("arm").unwrap())), expected(falls[0]));
-    assert_eq!(told(struck(&planned.rs485("tool").unwrap())), expected(falls[1]));
+    assert_eq!(reported(struck(&planned.can("arm").unwrap())), expected(falls[0]));
+    assert_eq!(reported(struck(&planned.rs485("tool").unwrap())), expected(falls[1]));
 }
 
 #[test]
-fn a_fleet_from_a_file_has_its_faults_on_whatever_bus() {
+fn fleet_from_a_file_has_its_faults_on_either_bus() {
     let file = "[[bus]]\nname = \"arm\"\nkind = \"can\"\nbit_rate = 500_000\nfaults = [\"cut@1+7ms\"]\n\
                 motor = [{ id = 1 }]";
     let fleet = Fleet::from_toml(file, "").unwrap();
@@ -116,7 +116,7 @@ fn a_fleet_from_a_file_has_its_faults_on_whatever_bus() {
 }
 
 #[test]
-fn who_waits_for_a_condition_changes_nothing() {
+fn fault_waiting_for_its_condition_changes_nothing() {
     let run = |faults: &str| {
         let fleet = robot(faults).can("arm").unwrap();
         let log = fleet.world.log();
@@ -142,7 +142,7 @@ fn struck_us(fault: &str, moved_us: u64) -> Option<u64> {
 }
 
 #[test]
-fn conditions_are_looked_at_every_millisecond_from_their_time_on() {
+fn conditions_are_checked_each_millisecond_from_their_time_on() {
     assert_eq!(struck_us("over-speed@1?angle>90", 10_300), Some(11_000));
     assert_eq!(struck_us("over-speed@1?angle>90", 11_000), Some(12_000));
     assert_eq!(struck_us("over-speed@1?angle>90+30ms", 10_300), Some(30_000));
@@ -170,7 +170,7 @@ fn a_condition_is_each_drives_own_and_strikes_it_once() {
 }
 
 #[test]
-fn who_waits_in_vain_is_let_go_with_its_world() {
+fn fault_that_waits_in_vain_is_dropped_with_its_world() {
     let fleet = Fleet::new(1).faults(["cut@1?angle>90".parse().unwrap()]);
     let fleet = fleet.on_can(1_000_000).unwrap();
     let seat = std::sync::Arc::downgrade(&fleet.drives[0].seat);
@@ -188,7 +188,7 @@ fn answers(faults: &[&str]) -> [bool; 2] {
 }
 
 #[test]
-fn faults_strike_whom_they_name() {
+fn faults_strike_the_motor_and_direction_that_they_name() {
     assert_eq!(answers(&[]), [true, true]);
     assert_eq!(answers(&["lose=1"]), [false, false]);
     assert_eq!(answers(&["lose=1@2"]), [true, false]);
@@ -207,7 +207,7 @@ fn later_faults_add_to_earlier_ones() {
 }
 
 #[test]
-fn errors_come_and_go() {
+fn errors_are_raised_and_cleared() {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let mut master = fleet.master::<1>();
     let mut named = |fault: &str| {
@@ -238,7 +238,7 @@ fn a_drive_that_is_mended_babbles_no_more() {
     assert_eq!(sent(), 0);
 }
 
-/// Not when the drive would have looked after itself.
+/// The report does not wait for the next time at which the drive would check its errors.
 #[test]
 fn an_error_that_strikes_is_reported_at_once() {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
@@ -257,7 +257,7 @@ fn an_error_that_strikes_is_reported_at_once() {
 }
 
 #[test]
-fn chance_strikes_only_the_way_that_is_named() {
+fn random_fault_strikes_only_the_direction_that_is_named() {
     let struck = |fault: &str| {
         let fleet = Fleet::new(1).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
         let log = fleet.world.log();
@@ -275,15 +275,16 @@ fn chance_strikes_only_the_way_that_is_named() {
 }
 
 #[test]
-fn that_a_drive_is_slow_or_babbles_is_told_in_the_log_and_when_that_ends() {
+fn begin_and_end_of_slowness_and_babble_are_logged() {
     let faults = ["mend", "slow=2ms@2+1ms", "slow=2ms@2+2ms", "babble=1ms@1+3ms", "mend+9ms"];
     let faults = faults.map(|it| it.parse().unwrap());
     let fleet = Fleet::new(2).faults(faults).on_can(1_000_000).unwrap();
     let mut log = DriveLog::of(&fleet);
     fleet.world.run_for(Duration::from_millis(10));
-    let told: Vec<_> = log.poll(fleet.world.now()).into_iter().map(|it| it.to_string()).collect();
+    let reported: Vec<_> =
+        log.poll(fleet.world.now()).into_iter().map(|it| it.to_string()).collect();
     assert_eq!(
-        told,
+        reported,
         [
             "0.003000 s  can motor 1 babbles: it sends frames by itself, by a fault",
             "0.009000 s  can motor 1 babbles no more",

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaft_is_led_beyond_a_stop_and_let_go_where_it_can_be_only() {
+    fn shaft_led_beyond_an_end_stop_is_freed_only_on_this_side_of_it() {
         let stop = EndStop { at_deg: 140.0, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
         let ended = Load { upper_stop: Some(stop), ..Load::NONE };
         let mut motor =
