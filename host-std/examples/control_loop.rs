@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn cycles_that_were_missed_are_not_made_up_for() {
+    fn missed_cycles_are_not_made_up_for() {
         let (left, begun) = held_for(20);
         assert_eq!(left, Ok(()));
         // Every 2 ms from 0 and, after the hold of 20 ms at 18 ms, from 38 ms.
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_held_up_for_too_long_ends() {
+    fn control_loop_held_up_for_over_100_ms_ends() {
         let (left, begun) = held_for(90);
         assert_eq!((left, begun.len()), (Ok(()), 21));
         let (left, begun) = held_for(101);
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_are_lost_by_chance_end_nothing_and_a_cable_that_is_pulled_does() {
+    fn random_losses_do_not_end_the_loop_but_a_cut_cable_does() {
         let (left, _) = ten_seconds_with("lose=0.05");
         assert_eq!(left, Ok(()));
         let (left, after) = ten_seconds_with("cut@3+5s");
@@ -181,9 +181,9 @@ mod tests {
         assert!(within.contains(&(after - Duration::from_secs(5))), "{after}");
     }
 
-    /// Either goes on giving feedback. Each motor is asked for both within 160 ms.
+    /// The drive goes on giving feedback in either case. Each motor is asked for both within 160 ms.
     #[test]
-    fn an_error_of_a_drive_and_a_supply_that_fails_for_a_moment_end_it() {
+    fn drive_error_and_drive_restart_end_the_loop() {
         for (fault, why) in [
             ("stall@5+5s", "motor 5 reports an error (motor stalled) and has cut its output"),
             ("reset@6+5s", "motor 6 has restarted"),
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_ends_the_program_ends_it_through_the_stop() {
+    fn every_signal_that_ends_the_program_stops_the_motors_first() {
         for signal in [SIGINT, SIGHUP, SIGTERM] {
             let is_interrupted = interruption().unwrap();
             let fleet = Fleet::new(8).on_can(1_000_000).unwrap();

@@ -113,7 +113,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 #[test]
-fn the_motors_stand_when_the_button_is_pressed_and_when_a_task_is_silent() {
+fn motors_stand_after_the_button_and_after_a_task_falls_silent() {
     let ms = Instant::from_millis;
     for (pressed, silent, expected) in
         [(ms(500), ms(1_000), End::Pressed), (ms(900), ms(300), End::Silent)]

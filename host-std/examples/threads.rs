@@ -109,7 +109,7 @@ fn main() -> Outcome<()> {
 }
 
 #[test]
-fn it_runs_on_either_bus_until_somebody_ends_it() {
+fn runs_on_either_bus_until_a_signal_ends_it() {
     for address in ["sim:2", "sim:2,rs485"] {
         run(&address.parse().unwrap()).unwrap();
     }

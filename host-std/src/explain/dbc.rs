@@ -553,7 +553,7 @@ mod tests {
     }
 
     #[test]
-    fn the_whole_table_is_there() {
+    fn every_command_and_reply_field_is_in_the_dbc_file() {
         for &firmware in Firmware::ALL {
             let file = of_motor(1, firmware);
             assert!(file.is_ascii());

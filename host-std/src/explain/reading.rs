@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn rs485_bytes_tell_the_direction_where_they_can() {
+    fn direction_of_rs485_bytes_is_inferred_where_possible() {
         // A NULL byte of the command is set: only the reply holds that (2.21.4).
         let reply = on_rs485([0xA4, 0x32, 0x64, 0, 0xF4, 1, 0x2D, 0], FrameDirection::Either);
         assert_eq!(direction(&reply), "reply");
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_the_protocols_is_told_with_what_is_known() {
+    fn frames_outside_the_protocol_are_reported_with_what_is_known() {
         let cases = [
             (
                 "141#F1",

@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn decimals_print_as_people_write_them() {
+    fn decimals_print_without_rounding_noise() {
         // 0x0BC2 = 3010, 0x8001 = -32767, 0x0001 = 1, each 0.01 A.
         assert_eq!(
             reply(Opcode::ReadStatus3, [0x9D, 0x80, 0xC2, 0x0B, 0x01, 0x80, 0x01, 0x00]),
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_functions_value_is_what_the_function_takes() {
+    fn function_value_has_the_type_of_its_function() {
         let of = |index, value: u8| {
             command(Opcode::FunctionControl, [0x20, index, 0, 0, value, value, value, value])
         };

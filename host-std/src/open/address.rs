@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn each_bus_is_printed_as_it_is_read_and_tells_its_kind_and_rate() {
+    fn each_address_prints_as_it_was_read_with_its_kind_and_rate() {
         for (text, kind, rate) in [
             ("sim:4", BusKind::Can, Some(1_000_000)),
             ("sim:2,rs485", BusKind::Rs485, Some(115_200)),
@@ -315,7 +315,7 @@ mod tests {
         assert_eq!(parse("can:can0").unwrap().to_string(), "can0");
     }
 
-    /// A frame's longest time worked out by hand: 135 bits on CAN, 130 on RS485.
+    /// Longest frame times by hand: 135 bits on CAN, 130 on RS485.
     #[test]
     fn time_outs_are_those_of_the_bit_rate() {
         for (text, frame_us, expected) in [
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_said_of_an_echo_is_configured() {
+    fn echo_is_configured_only_where_the_address_names_it() {
         for (text, is_configured) in [("", false), (",echo", true)] {
             let bus = parse(&format!("rs485:/dev/ttyUSB0@115200{text}")).unwrap();
             let expected = Config::rs485(115_200, is_configured).bus;
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_no_bus_is_refused() {
+    fn text_that_names_no_bus_is_refused() {
         const BUS: &str = "a bus such as sim:4, can0, slcan";
         const MOTORS: &str = "a number of simulated motors from 1 to 32 ";
         const INTERFACE: &str = "the name of a CAN interface such as can0, up to 15 characters ";

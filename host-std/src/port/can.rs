@@ -214,9 +214,9 @@ mod tests {
     const MOMENT: Duration = Duration::from_millis(20);
 
     #[test]
-    fn reports_tell_a_dead_bus_from_a_bad_one() {
+    fn error_reports_distinguish_a_dead_bus_from_a_disturbed_one() {
         let state = |bits| ErrorCause::Controller(ControllerProblems::from_bits_truncate(bits));
-        for (report, told) in [
+        for (report, text) in [
             (ErrorCause::BusOff, "bus off"),
             (ErrorCause::NoAck, "not acknowledged"),
             // linux/can/error.h: 0x01 receive overflow, 0x08 warning, 0x10 and 0x20 passive while
@@ -237,7 +237,7 @@ mod tests {
                 Some(Ok(())) => "recovered",
                 None => "nothing",
             };
-            assert_eq!(verdict, told, "{report}");
+            assert_eq!(verdict, text, "{report}");
         }
     }
 
@@ -260,9 +260,9 @@ mod tests {
         bytes.map(|byte| CanFrame::new(to, &[byte, 0, 0, 0, 0, 0, 0, 0]).unwrap())
     }
 
-    /// Frames were refused, and are dropped as too old meanwhile; then the socket has room again.
+    /// The socket refused a frame, which has become too old since, and has room again.
     #[test]
-    fn nobody_looks_again_and_again_for_room_that_nothing_wants() {
+    fn idle_clock_does_not_spin_when_a_refused_frame_was_dropped() {
         let (mut can, other) = made();
         let clock = can.clock().unwrap();
         let read = CanFrame::new(StandardId::new(0x141).unwrap(), &[0x92; 8]).unwrap();
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_report_nothing_that_moves_is_sent_until_a_frame_comes() {
+    fn moves_are_refused_after_an_error_report_until_a_frame_arrives() {
         let (mut can, other) = made();
         let [torque, stop] = frames([0xA1, 0x81]);
         can.transmit(&torque).unwrap();
@@ -301,10 +301,10 @@ mod tests {
         can.transmit(&torque).unwrap();
     }
 
-    /// The kernel tells of an interface that was taken down once, to whoever sends or receives first. The other end
-    /// goes, and comes back.
+    /// The kernel reports once that an interface was taken down, to the first call that sends or receives. Here the
+    /// other end goes, and comes back.
     #[test]
-    fn after_an_error_of_sending_nothing_that_moves_is_sent_until_a_frame_comes() {
+    fn moves_are_refused_after_a_send_error_until_a_frame_arrives() {
         let folder = tempfile::tempdir().unwrap();
         let [port, gone, back] = ["port", "gone", "back"].map(|name| folder.path().join(name));
         let end = UnixDatagram::bind(&port).unwrap();
@@ -324,10 +324,10 @@ mod tests {
         can.transmit(&torque).unwrap();
     }
 
-    /// The same where it is received first, and the interface is up again before anything is sent. A socket is told so
-    /// whose other end turns away from what it has not read.
+    /// A receive gets the kernel's one error here, and the interface is up again before anything is sent. The socket
+    /// gets it because its other end connects elsewhere with unread data.
     #[test]
-    fn after_an_error_of_receiving_nothing_that_moves_is_sent_until_a_frame_comes() {
+    fn moves_are_refused_after_a_receive_error_until_a_frame_arrives() {
         let folder = tempfile::tempdir().unwrap();
         let [port, end, away] = ["port", "end", "away"].map(|name| folder.path().join(name));
         let [socket, other, _away] = [&port, &end, &away].map(|it| UnixDatagram::bind(it).unwrap());
@@ -360,11 +360,11 @@ mod tests {
     }
 
     #[test]
-    fn the_kernels_answers_become_sentences() {
-        let told = |errno: Errno| explain("can7", errno.into()).to_string();
-        assert!(told(Errno::AFNOSUPPORT).contains("no CAN sockets"));
-        assert!(told(Errno::NETDOWN).contains("\"can7\" is down"));
-        assert!(told(Errno::NODEV).contains("\"can7\" has gone"));
-        assert!(told(Errno::PERM).contains("may not open \"can7\""));
+    fn kernel_errors_become_sentences() {
+        let text = |errno: Errno| explain("can7", errno.into()).to_string();
+        assert!(text(Errno::AFNOSUPPORT).contains("no CAN sockets"));
+        assert!(text(Errno::NETDOWN).contains("\"can7\" is down"));
+        assert!(text(Errno::NODEV).contains("\"can7\" has gone"));
+        assert!(text(Errno::PERM).contains("may not open \"can7\""));
     }
 }

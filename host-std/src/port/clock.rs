@@ -157,7 +157,7 @@ mod tests {
     const NEVER: Duration = Duration::from_secs(24 * 3600);
 
     #[test]
-    fn runs_on_and_idles_no_shorter_than_told() {
+    fn clock_runs_on_and_idles_until_the_given_time() {
         let (end, _other) = UnixStream::pair().unwrap();
         for clock in [HostClock::new(), HostClock::for_port(&end).unwrap()] {
             let until = clock.now() + SOON;
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_has_gone_is_not_asked_again_and_again() {
+    fn idle_clock_of_a_port_that_is_gone_does_not_spin() {
         let (end, other) = UnixStream::pair().unwrap();
         drop(other);
         let mut clock = HostClock::for_port(&end).unwrap();
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_backlog_also_waits_until_it_can_be_sent() {
+    fn idle_clock_wakes_up_when_a_backlog_can_be_sent() {
         let (end, _other) = UnixStream::pair().unwrap();
         let backlog = Backlog::default();
         let clock = HostClock::with_backlog(&end, backlog.clone()).unwrap();

@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wait_is_given_up_and_the_next_one_is_for_the_same_bytes() {
+    fn wait_after_one_that_was_given_up_is_for_the_same_bytes() {
         let mut drain = drain();
         assert!(drain.is_over());
         let (leave, left) = sync_channel(1);
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_fails_is_told() {
+    fn failure_of_the_port_ends_a_wait_with_its_error() {
         let (leave, left) = sync_channel(1);
         leave.send(Err(Errno::IO)).unwrap();
         let mut drain = drain();

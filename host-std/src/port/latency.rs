@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_had_is_no_error() {
+    fn missing_or_read_only_latency_timer_is_no_error() {
         let made = made("what a driver never says\n");
         assert_eq!(Timer::of(&made.adapters, &made.port).unwrap().too_long(), None);
         fs::set_permissions(&made.timer, fs::Permissions::from_mode(0o444)).unwrap();

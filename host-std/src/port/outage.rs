@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_moves_a_motor_is_sent_while_the_bus_is_away() {
+    fn moves_are_not_sent_while_the_bus_is_down() {
         let mut outage = Outage::default();
         let torque = frame(0x141, 0xA1);
         assert!(outage.admit(&torque).is_ok());
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_and_stops_are_sent_all_the_same() {
+    fn reads_and_stops_are_sent_while_the_bus_is_down() {
         let mut outage = Outage::default();
         outage.begin(PortError::BusOff("can0".into()));
         for first in [0x80, 0x81, 0x78, 0x92, 0x9A, 0x9C, 0x30] {

@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_told_to_be_unsent_is_never_sent() {
+    fn line_that_was_reported_as_failed_is_never_sent() {
         let mut outbox = with_torque();
         let failed = outbox.send_on(START, |_| Err(PortError::Stalled("made up".into())));
         assert!(failed.is_err());

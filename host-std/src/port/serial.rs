@@ -149,9 +149,9 @@ mod tests {
 
     use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
 
-    /// A pseudo-terminal hands everything over at once, so what it keeps is made up.
+    /// A pseudo-terminal passes everything on at once, so bytes that do not leave are simulated.
     #[test]
-    fn what_does_not_leave_is_given_up_and_nothing_follows_it() {
+    fn flush_of_a_stalled_port_fails_and_nothing_follows_its_bytes() {
         let (mut line, path) = line();
         let mut port = Rs485::open(path, 115_200).unwrap();
         let (leave, left) = sync_channel::<()>(1);
@@ -162,10 +162,10 @@ mod tests {
         port.drain = Drain::new(wait).unwrap();
 
         port.write_all(b"stop").unwrap();
-        let told = port.flush().unwrap_err();
-        assert!(matches!(told, PortError::Stalled(_)), "{told}");
-        let told = port.write_all(b"move").unwrap_err();
-        assert!(matches!(told, PortError::Stalled(_)), "{told}");
+        let error = port.flush().unwrap_err();
+        assert!(matches!(error, PortError::Stalled(_)), "{error}");
+        let error = port.write_all(b"move").unwrap_err();
+        assert!(matches!(error, PortError::Stalled(_)), "{error}");
         // It goes on when the adapter does.
         drop(leave);
         port.flush().unwrap();
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_is_free_again_though_a_wait_for_its_last_byte_goes_on() {
+    fn dropped_port_is_free_though_its_drain_still_waits() {
         let (_line, path) = line();
         let mut port = Rs485::open(&path, 115_200).unwrap();
         let (_leave, left) = sync_channel::<()>(1);
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_another_program_takes_away_hold_nobody_up() {
+    fn read_whose_bytes_another_program_took_fails_instead_of_blocking() {
         let (mut line, path) = line();
         // It had the port open before, as those have that look at each new adapter.
         let mut thief = File::options().read(true).write(true).open(&path).unwrap();
@@ -210,18 +210,18 @@ mod tests {
         assert!(port.tty.wait(PollFlags::IN, Some(Duration::from_secs(5))).unwrap());
         assert!(port.read_ready().unwrap());
         std::io::Read::read_exact(&mut thief, &mut [0; 5]).unwrap();
-        let (told, telling) = sync_channel(1);
-        std::thread::spawn(move || told.send(port.read(&mut [0; 16])));
-        let told = telling.recv_timeout(Duration::from_secs(5)).expect("an end").unwrap_err();
-        assert!(matches!(told, PortError::InUse(_)), "{told}");
+        let (sender, receiver) = sync_channel(1);
+        std::thread::spawn(move || sender.send(port.read(&mut [0; 16])));
+        let error = receiver.recv_timeout(Duration::from_secs(5)).expect("an end").unwrap_err();
+        assert!(matches!(error, PortError::InUse(_)), "{error}");
     }
 
     #[test]
-    fn what_went_while_it_was_flushed_is_told_to_have_gone() {
+    fn port_that_is_gone_during_a_flush_is_reported_as_gone() {
         let (line, path) = line();
         let mut port = Rs485::open(&path, 115_200).unwrap();
         drop(line);
-        let told = port.flush().unwrap_err();
-        assert!(matches!(told, PortError::PortGone(_)), "{told}");
+        let error = port.flush().unwrap_err();
+        assert!(matches!(error, PortError::PortGone(_)), "{error}");
     }
 }

@@ -167,7 +167,7 @@ mod tests {
     use rustix::termios::{LocalModes, OutputModes, SpecialCodeIndex};
 
     #[test]
-    fn what_an_earlier_program_has_set_holds_no_more() {
+    fn open_port_replaces_all_settings_of_an_earlier_program() {
         let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         unlockpt(&line).unwrap();
         let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();

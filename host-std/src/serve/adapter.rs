@@ -265,7 +265,7 @@ mod tests {
         (world.clone(), adapter, world.port())
     }
 
-    fn told(adapter: &mut Adapter) -> String {
+    fn reported(adapter: &mut Adapter) -> String {
         String::from_utf8(std::mem::take(&mut adapter.answers)).unwrap()
     }
 
@@ -273,7 +273,7 @@ mod tests {
     fn say(adapter: &mut Adapter, line: &str) -> (String, Option<u32>) {
         let bytes = line.bytes().chain([b'\r']);
         let wrong = bytes.filter_map(|byte| adapter.feed(byte)).last();
-        (told(adapter), wrong)
+        (reported(adapter), wrong)
     }
 
     /// Answers as Lawicel's adapters give them: CR is done, BEL is refused.
@@ -312,13 +312,13 @@ mod tests {
     }
 
     #[test]
-    fn at_another_bit_rate_it_is_a_stranger_and_that_is_told() {
+    fn adapter_at_another_bit_rate_disturbs_the_bus_and_reports_that() {
         let (world, mut adapter, mut other) = adapter(1_000_000, 2);
         let mut hears = |adapter: &mut Adapter| {
             other.transmit(&can::parse_line("241#9C").unwrap()).unwrap();
             world.run_for(Duration::from_millis(20));
             adapter.receive();
-            (!told(adapter).is_empty(), world.controller(other.station()).transmit_errors)
+            (!reported(adapter).is_empty(), world.controller(other.station()).transmit_errors)
         };
         say(&mut adapter, "S6");
         assert_eq!(say(&mut adapter, "L"), ("\r".into(), Some(500_000)));
@@ -348,7 +348,7 @@ mod tests {
         assert!(!adapter.is_ready());
         world.run_for(Duration::from_millis(1));
         assert!(adapter.is_ready() && adapter.waiting.is_none());
-        assert_eq!(told(&mut adapter), "z\r");
+        assert_eq!(reported(&mut adapter), "z\r");
         assert_eq!(adapter.status().queued, 1);
     }
 
@@ -371,17 +371,17 @@ mod tests {
         let heard = std::iter::from_fn(|| other.receive().ok());
         let heard: Vec<_> = heard.map(|frame| can::frame(&frame)).collect();
         assert_eq!(heard, ["401#", "141#", "402#", "403#"]);
-        assert_eq!(told(&mut adapter), "");
+        assert_eq!(reported(&mut adapter), "");
     }
 
     #[test]
-    fn received_frames_are_told_while_open_with_time_stamps_if_wanted() {
+    fn open_adapter_reports_received_frames_with_optional_time_stamps() {
         let (world, mut adapter, mut other) = adapter(1_000_000, 9);
         let mut hear_until = |adapter: &mut Adapter, at_ms| {
             other.transmit(&can::parse_line("241#9C3264").unwrap()).unwrap();
             world.run_until(Instant::ZERO + Duration::from_millis(at_ms));
             adapter.receive();
-            told(adapter)
+            reported(adapter)
         };
         assert_eq!(hear_until(&mut adapter, 5), "");
         say(&mut adapter, "O");
@@ -401,9 +401,9 @@ mod tests {
         assert_eq!(flags(256, ErrorState::BusOff), 0xA4);
     }
 
-    /// Each look at the bus takes so long that there is more after it.
+    /// Each look at the bus takes longer than the interval to the next.
     #[test]
-    fn a_bus_too_slow_for_real_time_holds_nobody_up() {
+    fn adapter_is_not_blocked_by_a_bus_too_slow_for_real_time() {
         let (world, mut adapter, other) = adapter(500_000, 9);
         let frame = can::parse_line("123#00").unwrap();
         let babble = Babble { interval: Duration::from_millis(1), frame: Some(frame) };

@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_is_ones_alone_however_many_come_and_go() {
+    fn path_has_one_owner_however_many_threads_claim_it() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("control");
         let (owners, claims) = (AtomicU32::new(0), AtomicU32::new(0));

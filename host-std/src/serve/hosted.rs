@@ -226,7 +226,7 @@ mod tests {
     use myactuator_protocol_core::time;
 
     #[test]
-    fn a_failure_of_the_mechanics_is_said_once() {
+    fn failure_of_the_mechanics_is_reported_once() {
         struct Failing;
         impl Mechanics for Failing {
             fn step(&mut self, _: time::Duration, _: &mut [Shaft]) -> Result<(), Failure> {
@@ -241,7 +241,10 @@ mod tests {
         fleet.world.run_for(time::Duration::from_millis(2));
         let said = [(); 2].map(|()| host.poll_mechanics_failure());
         assert_eq!(said, [Some("the engine has crashed".to_owned()), None]);
-        let told = [(); 2].map(|()| host.state(None).mechanics_failure);
-        assert!(told.iter().all(|it| it.as_deref() == Some("the engine has crashed")), "{told:?}");
+        let reported = [(); 2].map(|()| host.state(None).mechanics_failure);
+        assert!(
+            reported.iter().all(|it| it.as_deref() == Some("the engine has crashed")),
+            "{reported:?}"
+        );
     }
 }

@@ -155,7 +155,7 @@ mod tests {
     use crate::text::can;
 
     #[test]
-    fn while_time_stands_65536_frames_are_held_and_the_others_wait() {
+    fn interface_holds_65536_frames_while_time_stands() {
         let (mut held, mut sent) = (VecDeque::new(), 0..70_000);
         let mut next = || sent.next().ok_or(nb::Error::<()>::WouldBlock);
         for _ in 0..2 {

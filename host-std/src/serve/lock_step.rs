@@ -139,7 +139,7 @@ mod tests {
     use crate::sim::bus::rs485::TransceiverConfig;
 
     #[test]
-    fn what_is_written_while_time_goes_on_counts_when_it_stands_again() {
+    fn bytes_written_while_time_advances_are_sent_in_the_next_advance() {
         let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
         let log = line.world.log();
         let (mut program, device) = UnixStream::pair().unwrap();

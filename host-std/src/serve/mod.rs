@@ -472,7 +472,7 @@ mod tests {
     use myactuator_protocol_core::wire::rs485::Frame;
 
     #[test]
-    fn what_could_not_be_stored_is_told_with_its_bus() {
+    fn settings_that_could_not_be_stored_are_reported_with_their_bus() {
         let folder = tempfile::tempdir().unwrap();
         let fleets = ["left", "right", "tool"].map(|name| {
             let of_bus = folder.path().join(name);
@@ -496,9 +496,9 @@ mod tests {
         }
         let (nobody, stop) = UnixStream::pair().unwrap();
         drop(nobody);
-        let told = server.run(stop, |_| {}).unwrap_err().to_string();
+        let message = server.run(stop, |_| {}).unwrap_err().to_string();
         let expected = "motors 1 2 of \"left\", motors 1 2 of \"tool\" could not store ";
-        assert!(told.starts_with(expected), "{told}");
+        assert!(message.starts_with(expected), "{message}");
     }
 
     #[test]

@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sleeps_are_shortened_by_what_they_are_late() {
+    fn sleeps_are_shortened_by_their_usual_lateness() {
         let mut oversleep = Oversleep::default();
         let millisecond = Duration::from_millis(1);
         assert_eq!(oversleep.shorten(millisecond), millisecond);

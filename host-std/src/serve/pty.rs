@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_writes_without_end_while_time_stands_is_held_up_and_loses_nothing() {
+    fn endless_writer_is_held_up_while_time_stands_and_loses_nothing() {
         let (mut program, device) = UnixStream::pair().unwrap();
         program.set_nonblocking(true).unwrap();
         let mut pty = Pty::on(device).unwrap();
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn of_what_nobody_reads_while_time_stands_a_mebibyte_is_kept_and_that_in_order() {
+    fn one_mebibyte_of_unread_output_is_kept_in_order_while_time_stands() {
         let (mut program, device) = UnixStream::pair().unwrap();
         program.set_nonblocking(true).unwrap();
         let mut pty = Pty::on(device).unwrap();

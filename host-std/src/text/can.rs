@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_is_told() {
+    fn lines_that_are_no_frame_are_refused_with_the_reason() {
         assert_eq!(normal("141##1AABB"), Err(NotAFrame::Fd));
         assert_eq!(normal("can0  141  [08]  A4 00 F4 01 A0 8C 00 00"), Err(NotAFrame::Fd));
         assert_eq!(normal("1#00"), Err(NotAFrame::Identifier("1".into())));

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_byte_is_named() {
+    fn words_that_are_no_byte_are_refused_by_name() {
         assert_eq!(
             parse_line("62 1 256").unwrap_err().to_string(),
             "expected decimal bytes 0 to 255 separated by spaces or commas, found \"256\""

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_come_one_by_one_each_after_the_answer_to_the_last() {
+    fn client_lines_are_taken_one_by_one_after_each_answer() {
         let (mut program, mut client) = pair();
         program.write_all(b"one\ntwo\nthr").unwrap();
         assert_eq!(client.next(), Some(Ok(b"one".to_vec())));
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn who_only_listens_is_there_until_it_has_left() {
+    fn client_that_only_listens_stays_until_it_disconnects() {
         let (program, mut client) = pair();
         client.log = Some(0);
         program.shutdown(std::net::Shutdown::Write).unwrap();
@@ -218,20 +218,20 @@ mod tests {
             let _ = program.write_all(&[b' '; LONGEST_LINE + 4096]);
             program
         });
-        let told = loop {
-            if let Some(told) = client.next() {
-                break told.unwrap_err();
+        let message = loop {
+            if let Some(message) = client.next() {
+                break message.unwrap_err();
             }
         };
-        assert!(told.starts_with("expected a line of at most 65536 bytes"), "{told}");
-        client.answer(&told);
+        assert!(message.starts_with("expected a line of at most 65536 bytes"), "{message}");
+        client.answer(&message);
         assert!(client.is_gone());
         drop(client);
         drop(writing.join().unwrap());
     }
 
     #[test]
-    fn who_does_not_read_is_asked_nothing_more_and_misses_the_log() {
+    fn client_that_does_not_read_is_not_served_and_misses_the_log() {
         let (mut program, mut client) = pair();
         client.log = Some(0);
         let line = "x".repeat(1000);

@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_wrong_with_a_request_is_told() {
+    fn errors_of_a_request_are_explained() {
         let wrong = |line: &str| Request::parse(line.as_bytes()).unwrap_err();
         assert!(wrong("hello").contains("expected value"), "{}", wrong("hello"));
         assert!(wrong(r#"{"stat":{}}"#).contains("unknown variant `stat`, expected one of `time`"));
@@ -167,9 +167,9 @@ mod tests {
             (r#"{"time":{},"state":{}}"#, "found 2 at once"),
             ("[]", "found []"),
         ] {
-            let told = wrong(line);
-            assert!(told.starts_with("expected a request, such as "), "{told}");
-            assert!(told.contains(&format!(" on one line: {sentence}")), "{line}: {told}");
+            let message = wrong(line);
+            assert!(message.starts_with("expected a request, such as "), "{message}");
+            assert!(message.contains(&format!(" on one line: {sentence}")), "{line}: {message}");
         }
     }
 }

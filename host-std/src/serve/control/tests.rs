@@ -25,14 +25,14 @@ impl Served {
     fn start(prepare: impl FnOnce(&mut Server) + Send + 'static) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("control");
-        let (stop, told) = UnixStream::pair().unwrap();
+        let (stop, reported) = UnixStream::pair().unwrap();
         let (ready, is_ready) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
             let mut server = Server::new();
             prepare(&mut server);
             server.control_at(&path).unwrap();
             ready.send(()).unwrap();
-            server.run(told, |_| {})
+            server.run(reported, |_| {})
         });
         is_ready.recv().unwrap();
         Self { stop: Some(stop), thread: Some(thread), folder }
@@ -98,7 +98,7 @@ fn assert_has(found: &Value, expected: &Value, line: &str) {
 }
 
 #[test]
-fn the_lines_of_the_documentation_are_true() {
+fn dialogue_in_the_documentation_is_what_the_server_answers() {
     let served = Served::start(one_in_lock_step);
     let mut client = served.client();
     let mut shown = 0;
@@ -114,7 +114,7 @@ fn the_lines_of_the_documentation_are_true() {
 }
 
 #[test]
-fn every_field_of_a_motor_is_explained() {
+fn every_field_of_a_motor_is_documented() {
     let served = Served::start(one_in_lock_step);
     let state = served.client().ask(r#"{"state":{}}"#);
     let motor = state["ok"]["buses"][0]["motors"][0].as_object().unwrap().clone();
@@ -127,7 +127,7 @@ fn every_field_of_a_motor_is_explained() {
 }
 
 #[test]
-fn of_simulations_that_start_at_once_one_has_a_socket_that_was_left() {
+fn one_of_several_simulations_that_start_at_once_gets_a_stale_socket() {
     for _ in 0..200 {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("control");
@@ -147,7 +147,7 @@ fn of_simulations_that_start_at_once_one_has_a_socket_that_was_left() {
 }
 
 #[test]
-fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
+fn socket_belongs_to_one_simulation_and_a_stale_one_is_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control");
     let open = |path: &Path| Control::open(path);
@@ -175,7 +175,7 @@ fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
 }
 
 #[test]
-fn several_programs_ask_at_once_and_one_that_is_stuck_holds_nobody_up() {
+fn stuck_client_does_not_block_other_clients() {
     let served = Served::start(|server| {
         server.host_can(&Fleet::new(2).on_can(1_000_000).unwrap());
         server.host_can(&Fleet::new(2).name("arm").on_can(1_000_000).unwrap());
@@ -205,7 +205,7 @@ fn several_programs_ask_at_once_and_one_that_is_stuck_holds_nobody_up() {
 }
 
 #[test]
-fn what_cannot_be_changes_no_motor_at_all() {
+fn request_that_one_motor_must_refuse_changes_no_motor() {
     use crate::sim::plant::{MotorParameters, SimulatedMotor};
 
     let mut models = ["RMD-X8-PRO", "RMD-X6-P20-60"].map(|name| {
@@ -285,7 +285,7 @@ fn run_in_lock_step(seed: u64, is_slow: bool) -> (Vec<u8>, Vec<u8>, String) {
 }
 
 #[test]
-fn in_lock_step_the_same_calls_give_the_same_bytes() {
+fn same_calls_in_lock_step_give_the_same_bytes() {
     let (slcan, rs485, state) = run_in_lock_step(7, false);
     // Of 400 replies of 22 characters and 100 of 13 bytes four fifths come: a tenth of the questions is lost, and of
     // the answers.
@@ -319,7 +319,7 @@ fn a_second_of_four_motors_takes_far_less_in_lock_step() {
 }
 
 #[test]
-fn time_stands_until_a_program_says_how_far_it_may_go() {
+fn lock_step_time_stands_until_a_client_advances_it() {
     let served = Served::start(one_in_lock_step);
     let (mut one, mut other) = (served.client(), served.client());
     std::thread::sleep(std::time::Duration::from_millis(20));
@@ -364,8 +364,8 @@ fn each_request_does_what_it_says() {
     // It pulls down: 2 kg * 9.80665 m/s² * 0.5 m.
     assert!((number(&level, "load_torque_nm") + 9.80665).abs() < 1e-9, "{level}");
     let held = after(2_000, &[r#"{"temperature":{"motor_c":60,"mosfet_c":70}}"#]);
-    let told = ["motor_temperature_c", "mosfet_temperature_c"].map(|name| number(&held, name));
-    assert_eq!(told, [60.0, 70.0]);
+    let reported = ["motor_temperature_c", "mosfet_temperature_c"].map(|name| number(&held, name));
+    assert_eq!(reported, [60.0, 70.0]);
     let warm = after(1_000_000, &[r#"{"temperature":{}}"#, r#"{"ambient":{"ambient_c":500}}"#]);
     assert!(number(&warm, "motor_temperature_c") > 60.01, "{warm}");
     let pushed = after(100_000, &[r#"{"load":{"load":{}}}"#, r#"{"push":{"torque_nm":-5}}"#]);
@@ -380,7 +380,7 @@ fn each_request_does_what_it_says() {
 }
 
 #[test]
-fn a_supply_that_motors_share_is_changed_for_all_of_them() {
+fn change_of_a_shared_supply_is_for_all_its_motors() {
     let served = Served::start(|server| {
         let fleet = Fleet::new(2).name("arm").supply(Supply::battery(48.0));
         server.host_can(&fleet.on_can(1_000_000).unwrap());
@@ -427,9 +427,9 @@ fn a_supply_that_motors_share_is_changed_for_all_of_them() {
     assert!(state[1]["supply"].is_null(), "it shares none");
 }
 
-/// What finds no room in a pseudo-terminal is kept, and what is written while time goes on waits for its end.
+/// Output that finds no room in a pseudo-terminal is kept. Input that comes while time advances waits for its end.
 #[test]
-fn in_lock_step_nothing_is_lost_or_too_early() {
+fn lock_step_loses_nothing_and_delivers_nothing_too_early() {
     use std::io::Read as _;
 
     let (places, where_) = std::sync::mpsc::channel();
@@ -469,7 +469,7 @@ fn in_lock_step_nothing_is_lost_or_too_early() {
 }
 
 #[test]
-fn time_stands_where_the_program_has_left_that_let_it_go_on() {
+fn lock_step_time_stands_once_the_client_that_advanced_it_has_left() {
     let served = Served::start(one_in_lock_step);
     let (mut one, mut other) = (served.client(), served.client());
     one.send(&format!(r#"{{"advance":{{"us":{}}}}}"#, u64::MAX));
@@ -485,9 +485,9 @@ fn time_stands_where_the_program_has_left_that_let_it_go_on() {
     }
 }
 
-/// As `printf '{"log":{}}\n' | socat - UNIX:control` does.
+/// `printf '{"log":{}}\n' | socat - UNIX:control` is such a listener.
 #[test]
-fn who_only_listens_to_the_log_hears_it_until_it_leaves() {
+fn client_that_only_reads_the_log_gets_it_until_it_disconnects() {
     let served = Served::start(one_in_lock_step);
     let (mut listener, mut other) = (served.client(), served.client());
     listener.send(r#"{"log":{}}"#);
@@ -501,15 +501,18 @@ fn who_only_listens_to_the_log_hears_it_until_it_leaves() {
     };
     clients();
     let text = |line: Value| line["log"]["event"].to_string();
-    let told = [listener.next(), listener.next()].map(text);
-    assert!(told[0].contains("fault-raised") && told[1].contains("fault-cleared"), "{told:?}");
+    let reported = [listener.next(), listener.next()].map(text);
+    assert!(
+        reported[0].contains("fault-raised") && reported[1].contains("fault-cleared"),
+        "{reported:?}"
+    );
     drop(listener);
     clients();
 }
 
-/// A program that never stops writing, whether that is sense or not, and never reads.
+/// Programs that never stop writing to the ports, whether sense or not, and never read.
 #[test]
-fn a_flood_holds_nobody_up() {
+fn flood_on_the_ports_does_not_block_other_clients() {
     use std::io::Write as _;
 
     for is_in_lock_step in [false, true] {
@@ -595,9 +598,9 @@ fn a_fault_for_all_buses_strikes_on_each_as_its_motor_meets_the_condition() {
     assert_eq!(state["ok"]["buses"][0]["motors"][0]["errors"], json!([]));
 }
 
-/// They would have it elsewhere again at once, and `{"ok": …}` would say that it is there.
+/// The mechanics would move the shaft away at once, although `{"ok": …}` had said that it is there.
 #[test]
-fn a_shaft_that_mechanics_move_is_put_nowhere_and_feels_no_load() {
+fn shaft_led_by_mechanics_refuses_an_angle_and_feels_no_load() {
     use myactuator_protocol_core::time::Duration;
 
     struct Still;
@@ -618,15 +621,15 @@ fn a_shaft_that_mechanics_move_is_put_nowhere_and_feels_no_load() {
     client.ask(r#"{"load":{"load":{"torque_nm":-5}}}"#);
     let state = client.ask(r#"{"state":{}}"#);
     let motors = &state["ok"]["buses"][0]["motors"];
-    let told = [0, 1].map(|place| {
+    let reported = [0, 1].map(|place| {
         let motor = &motors[place];
         (motor["led"] == true, motor["load_torque_nm"].as_f64(), motor["angle_deg"].as_f64())
     });
-    assert_eq!(told, [(true, Some(0.0), Some(0.0)), (false, Some(-5.0), Some(0.0))]);
+    assert_eq!(reported, [(true, Some(0.0), Some(0.0)), (false, Some(-5.0), Some(0.0))]);
 }
 
 #[test]
-fn so_many_faults_may_wait_on_a_bus() {
+fn number_of_waiting_faults_on_a_bus_is_limited() {
     let served = Served::start(|server| {
         server.host_can(&Fleet::new(1).on_can(1_000_000).unwrap());
         server.host_can(&Fleet::new(1).name("arm").on_can(1_000_000).unwrap());
@@ -639,9 +642,12 @@ fn so_many_faults_may_wait_on_a_bus() {
     }
     // On no bus if one has no room.
     for full in [waits, r#"{"fault":{"fault":"cut@1"}}"#] {
-        let told = client.ask(full)["error"].as_str().unwrap().to_owned();
-        assert!(told.starts_with("expected at most 1000 faults that wait on a bus"), "{told}");
-        assert!(told.contains("on arm"), "{told}");
+        let reported = client.ask(full)["error"].as_str().unwrap().to_owned();
+        assert!(
+            reported.starts_with("expected at most 1000 faults that wait on a bus"),
+            "{reported}"
+        );
+        assert!(reported.contains("on arm"), "{reported}");
     }
     let state = client.ask(r#"{"state":{}}"#);
     assert_eq!(state["ok"]["buses"][0]["motors"][0]["cut"], false);
@@ -668,14 +674,14 @@ const FALLING: &str = r#"
 "#;
 
 #[test]
-fn a_robots_faults_are_the_same_in_lock_step_as_in_a_program() {
+fn faults_of_a_robot_strike_alike_in_lock_step_and_in_a_program() {
     let robot = crate::sim::Robot::from_toml(FALLING, "").unwrap();
     let fleet = robot.can("arm").unwrap();
     let mut log = crate::sim::DriveLog::of(&fleet);
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for _ in 0..800 {
         fleet.world.run_for(myactuator_protocol_core::time::Duration::from_millis(1));
-        told.extend(log.poll(fleet.world.now()).iter().map(log_line));
+        reported.extend(log.poll(fleet.world.now()).iter().map(log_line));
     }
     let served = Served::start(move |server| {
         server.host_can(&robot.can("arm").unwrap());
@@ -692,8 +698,9 @@ fn a_robots_faults_are_the_same_in_lock_step_as_in_a_program() {
         }
         heard.push(line);
     }
-    let told: Vec<Value> = told.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(heard, told);
+    let reported: Vec<Value> =
+        reported.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(heard, reported);
     let at_us = |event: &str| {
         let is_it = |line: &&Value| line["log"]["event"]["fault-raised"] == event;
         heard.iter().find(is_it).unwrap()["log"]["at_us"].as_u64()

@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_frame_does_no_harm() {
+    fn junk_yields_no_frame_and_does_not_disturb_the_next() {
         for junk in [
             &b"t24189C\r"[..],            // bytes lost
             b"t24189C32640032000A0\r",    // one digit lost
