@@ -25,15 +25,15 @@ const TORQUE: u8 = 0xA1;
 const READ_ANGLE: u8 = 0x92;
 
 fn main() {
-    check("what cannot be opened is told", what_cannot_be_opened_is_told);
+    check("what cannot be opened is told", interfaces_that_cannot_be_opened_are_reported);
     check("a master asks over vcan0", || a_master_asks("vcan0", "vcan0"));
     check("a master asks on can0, drives are on can1", || a_master_asks("can0", "can1"));
     check("own frames are not received", own_frames_are_not_received);
-    check("a dead bus gets nothing that moves", a_dead_bus_gets_nothing_that_moves);
+    check("a dead bus gets nothing that moves", dead_bus_gets_no_moves);
     check("a master drops motion on a dead bus", a_master_drops_motion_on_a_dead_bus);
     check("an interface goes down and up", an_interface_goes_down_and_up);
     check("the kernel holds few frames", the_kernel_holds_few_frames);
-    check("an interface that is taken away is told", an_interface_that_is_taken_away_is_told);
+    check("an interface that is taken away is told", deleted_interface_is_reported_as_gone);
 }
 
 fn check(what: &str, run: impl FnOnce()) {
@@ -120,7 +120,7 @@ impl Drives {
     }
 }
 
-fn what_cannot_be_opened_is_told() {
+fn interfaces_that_cannot_be_opened_are_reported() {
     let error = |interface| SocketCan::open(interface).unwrap_err();
     let PortError::NoSuchInterface { there, .. } = error("can9") else {
         panic!("{}", error("can9"))
@@ -176,7 +176,7 @@ const RESTARTED: u32 = 0x100;
 const SENDING_PASSIVE: u8 = 0x20;
 const ACTIVE: u8 = 0x40;
 
-fn a_dead_bus_gets_nothing_that_moves() {
+fn dead_bus_gets_no_moves() {
     let ((mut can, clock), (mut other, other_clock)) = (opened("vcan0"), opened("vcan0"));
     let report = reporter();
     assert!(refusal(&mut can).is_none());
@@ -273,7 +273,7 @@ fn frames_taken_and_heard(run_while_closed: Option<&str>) -> (usize, usize) {
     (taken, heard)
 }
 
-fn an_interface_that_is_taken_away_is_told() {
+fn deleted_interface_is_reported_as_gone() {
     let (mut can, _clock) = opened("vcan0");
     run("ip link del vcan0");
     let Err(nb::Error::Other(PortError::InterfaceGone(_))) = can.receive() else {

@@ -68,7 +68,7 @@ fn bytes_pass_unchanged_both_ways() {
 }
 
 #[test]
-fn what_is_no_serial_port_is_told() {
+fn paths_that_are_no_serial_port_are_reported() {
     let error = |path: &str| Rs485::open(path, 115_200).unwrap_err();
     assert!(matches!(error("/dev/there-is-no-such-port"), PortError::NoSuchPort(_)));
     assert!(matches!(error("/dev/null"), PortError::NotASerialPort(_)));
@@ -77,7 +77,7 @@ fn what_is_no_serial_port_is_told() {
 }
 
 #[test]
-fn an_adapter_that_is_pulled_out_is_told() {
+fn adapter_that_is_pulled_out_is_reported() {
     let (line, path) = pty::open();
     let mut master = drive::open(&format!("rs485:{}@2500000", path.display())).unwrap();
     drop(line);
@@ -87,7 +87,7 @@ fn an_adapter_that_is_pulled_out_is_told() {
 }
 
 #[test]
-fn what_nobody_takes_is_thrown_away() {
+fn bytes_that_a_stalled_port_does_not_take_are_discarded() {
     let (mut line, path) = pty::open();
     let mut port = Rs485::open(&path, 115_200).unwrap();
     let mut taken = 0;
@@ -108,9 +108,9 @@ fn what_nobody_takes_is_thrown_away() {
     assert!(heard < taken, "{heard} of {taken}");
 }
 
-/// What an earlier program was answered is no answer to this one: of a stop, say.
+/// A reply to an earlier program, to a stop for example, must not pass for a reply to this one.
 #[test]
-fn what_came_before_a_port_was_opened_is_not_heard() {
+fn bytes_that_came_before_a_port_was_opened_are_not_received() {
     let (mut line, path) = pty::open();
     // The terminal lives on, as a serial port does.
     let earlier = std::fs::File::open(&path).unwrap();

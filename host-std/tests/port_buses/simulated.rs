@@ -9,7 +9,7 @@ use myactuator_protocol_core::master::Failure;
 use crate::drive::motor;
 
 #[test]
-fn they_answer_in_virtual_time_with_the_configuration_of_their_kind() {
+fn simulated_buses_answer_in_virtual_time_by_their_configuration() {
     for bus in ["sim:2", "sim:2,rs485"] {
         let address: BusAddress = bus.parse().unwrap();
         let mut arm = AnyMaster::<4>::open_with(&address, address.config()).unwrap();

@@ -107,7 +107,7 @@ fn open(path: &Path) -> Result<AnyMaster<2>, BusError> {
     drive::open(&format!("slcan:{}@1000000", path.display()))
 }
 
-/// Also through one that answers nothing, or lines that mean nothing.
+/// The adapter may also answer nothing, or lines that mean nothing.
 #[test]
 fn a_master_asks_through_an_adapter() {
     let noise = b"t24189C00\r\rV1013\rT1234567F\rhello\r\xFF\r\n";
@@ -146,7 +146,7 @@ fn in_time<T>(attempt: impl Fn() -> T) -> T {
 }
 
 #[test]
-fn what_is_sent_last_is_not_lost_when_the_port_is_closed() {
+fn last_frame_is_not_lost_when_the_port_is_closed() {
     for _ in 0..20 {
         let heard = in_time(|| {
             let (line, path) = pty::open();
@@ -163,7 +163,7 @@ fn what_is_sent_last_is_not_lost_when_the_port_is_closed() {
 }
 
 #[test]
-fn an_adapter_that_will_not_open_is_told() {
+fn adapter_that_refuses_to_open_is_reported() {
     let open_one = || {
         let (line, path) = pty::open();
         let device = play(line, Adapter { refuses_to_open: true, ..Adapter::default() });
@@ -176,9 +176,9 @@ fn an_adapter_that_will_not_open_is_told() {
     assert!(matches!(error, BusError::Port(PortError::Refused(_))), "{error}");
 }
 
-/// BEL, for the adapter is closed: what another program sends is refused, before this one's commands are heard.
+/// The closed adapter refuses (BEL) what another program sends, before it hears the commands of this one.
 #[test]
-fn an_adapter_that_refuses_what_another_program_says_is_opened() {
+fn refusals_meant_for_another_program_do_not_keep_a_port_from_opening() {
     let heard = in_time(|| {
         let (line, path) = pty::open();
         let device = play(line, Adapter { to_another: b"\x07\x07", ..Adapter::default() });
@@ -190,9 +190,9 @@ fn an_adapter_that_refuses_what_another_program_says_is_opened() {
     assert_eq!(heard[..4], [C::Unknown, C::Close, C::SetRate(Rate::Mbit1), C::Open]);
 }
 
-/// The other program takes the answers to this one's commands, too, and leaves it refusals.
+/// The other program also takes the answers to this one's commands, and leaves it refusals.
 #[test]
-fn a_stop_goes_through_an_adapter_that_another_program_talks_to_all_the_time() {
+fn stop_is_sent_through_an_adapter_that_another_program_keeps_busy() {
     let is_stopped = || {
         let (mut line, path) = pty::open();
         let mut refusals = line.try_clone().unwrap();
@@ -252,7 +252,7 @@ fn until<T>(
 }
 
 #[test]
-fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
+fn moves_are_refused_after_a_refusal_until_a_reply_arrives() {
     let (mut can, device) = in_time(|| {
         let (line, path) = pty::open();
         let device = play(line, Adapter { refuses_torque: true, ..Adapter::default() });
@@ -279,9 +279,9 @@ fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
     device.join().unwrap();
 }
 
-/// Nobody looks what it answers, so that it counts as one that may have restarted all the while.
+/// The program does not read the answers, so the adapter may have restarted all the while.
 #[test]
-fn an_adapter_that_refuses_is_opened_ten_times_a_second_at_the_most() {
+fn refusing_adapter_is_reopened_at_most_ten_times_a_second() {
     let (line, path) = pty::open();
     let device = play(line, Adapter { refuses_torque: true, ..Adapter::default() });
     let begun = Instant::now();
@@ -303,7 +303,7 @@ fn an_adapter_that_refuses_is_opened_ten_times_a_second_at_the_most() {
 }
 
 #[test]
-fn what_an_adapter_does_not_take_is_thrown_away() {
+fn frames_that_a_stalled_adapter_does_not_take_are_discarded() {
     let (_line, path) = pty::open();
     let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
     let clock = can.clock().unwrap();
@@ -324,9 +324,9 @@ fn what_an_adapter_does_not_take_is_thrown_away() {
     }
 }
 
-/// All of a move but its end lies in the adapter, of a program that was killed.
+/// All of a move but its line end lies in the adapter, from a program that was killed.
 #[test]
-fn what_an_interrupted_program_has_begun_is_not_ended() {
+fn line_begun_by_a_killed_program_is_not_completed() {
     let (line, path) = pty::open();
     let mut killed = File::options().write(true).open(&path).unwrap();
     killed.write_all(b"t1418A100000032000000").unwrap();
@@ -391,7 +391,7 @@ fn torques_among(lines: &[String]) -> usize {
 }
 
 #[test]
-fn what_a_port_keeps_is_thrown_away_and_no_line_is_made_of_what_lies_around_it() {
+fn stalled_port_discards_its_bytes_and_joins_no_line_from_the_rest() {
     let (line, mut can, taken) = stuck(&frame(TORQUE));
     let clock = can.clock().unwrap();
     let error = until(&mut can, &clock, |can| match can.transmit(&frame(TORQUE)) {
@@ -411,7 +411,7 @@ fn what_a_port_keeps_is_thrown_away_and_no_line_is_made_of_what_lies_around_it()
 }
 
 #[test]
-fn a_line_that_was_begun_is_not_ended_when_the_port_is_closed() {
+fn closing_a_stalled_port_does_not_complete_a_begun_line() {
     let (line, can, taken) = stuck(&frame(TORQUE));
     drop(can);
     let heard = heard_on(line);
@@ -420,7 +420,7 @@ fn a_line_that_was_begun_is_not_ended_when_the_port_is_closed() {
 }
 
 #[test]
-fn what_an_adapter_that_does_not_answer_has_not_taken_goes_with_the_port() {
+fn frames_that_a_silent_adapter_did_not_take_are_lost_with_the_port() {
     let (line, path) = pty::open();
     let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
     // More than the terminal keeps for good, and less than it takes.
@@ -432,7 +432,7 @@ fn what_an_adapter_that_does_not_answer_has_not_taken_goes_with_the_port() {
 }
 
 #[test]
-fn a_frame_goes_once_however_the_port_takes_it() {
+fn frame_is_sent_no_more_than_once_however_the_port_takes_it() {
     let (line, mut can, taken) = stuck(&frame(TORQUE));
     let device = std::thread::spawn(move || heard_on(line));
     // What is left of the last one goes on, unless the machine is busy for so long that it is stale.
@@ -444,9 +444,9 @@ fn a_frame_goes_once_however_the_port_takes_it() {
     assert!(torques_among(&device.join().unwrap()) <= taken);
 }
 
-/// Its supply fails for a moment, and its serial port does not: it is off the bus.
+/// The adapter's supply fails for a moment, and its serial port does not: it is off the bus.
 #[test]
-fn a_stop_goes_through_an_adapter_that_has_restarted() {
+fn stop_is_sent_through_an_adapter_that_has_restarted() {
     let (line, path) = pty::open();
     let device = play(line, Adapter { restarts_at_torque: true, ..Adapter::default() });
     let mut master = open(&path).unwrap();

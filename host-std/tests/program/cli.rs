@@ -23,10 +23,11 @@ fn refusal(arguments: &[&str]) -> String {
     let output = run(arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}");
     assert_eq!(text(&output.stdout), "", "{arguments:?}");
-    let told = text(&output.stderr);
-    let sentence = told.strip_prefix("error: ").and_then(|told| told.strip_suffix('\n'));
-    let sentence = sentence.unwrap_or_else(|| panic!("{arguments:?}: {told:?}"));
-    assert!(!sentence.contains('\n'), "{arguments:?}: {told:?}");
+    let explained = text(&output.stderr);
+    let sentence =
+        explained.strip_prefix("error: ").and_then(|explained| explained.strip_suffix('\n'));
+    let sentence = sentence.unwrap_or_else(|| panic!("{arguments:?}: {explained:?}"));
+    assert!(!sentence.contains('\n'), "{arguments:?}: {explained:?}");
     sentence.to_owned()
 }
 
@@ -34,17 +35,17 @@ fn string<'a>(row: &'a Value, key: &str) -> &'a str {
     row[key].as_str().unwrap()
 }
 
-fn same(told: &Value, expected: &Value) -> bool {
-    match (told.as_f64(), expected.as_f64()) {
-        (Some(told), Some(expected)) => {
-            (told - expected).abs() <= 1e-9 * expected.abs().max(1e-300)
+fn same(explained: &Value, expected: &Value) -> bool {
+    match (explained.as_f64(), expected.as_f64()) {
+        (Some(explained), Some(expected)) => {
+            (explained - expected).abs() <= 1e-9 * expected.abs().max(1e-300)
         }
-        _ => told == expected,
+        _ => explained == expected,
     }
 }
 
-fn same_fields(told: &Value, expected: &Value) -> bool {
-    let (Some(told), Some(expected)) = (told.as_object(), expected.as_object()) else {
+fn same_fields(explained: &Value, expected: &Value) -> bool {
+    let (Some(explained), Some(expected)) = (explained.as_object(), expected.as_object()) else {
         return false;
     };
     // If a code's name or its number is expected, the other may stand beside it.
@@ -54,8 +55,10 @@ fn same_fields(told: &Value, expected: &Value) -> bool {
         name.is_some_and(|name| expected.keys().any(|key| key.starts_with(name)))
     };
     let is_known = |key: &str| expected.contains_key(key) || has_number(key) || has_value(key);
-    expected.iter().all(|(key, value)| told.get(key).is_some_and(|told| same(told, value)))
-        && told.keys().map(String::as_str).all(is_known)
+    expected
+        .iter()
+        .all(|(key, value)| explained.get(key).is_some_and(|explained| same(explained, value)))
+        && explained.keys().map(String::as_str).all(is_known)
 }
 
 /// Decodes rows of one direction in one run, and compares all but the direction.
@@ -63,17 +66,17 @@ fn decode_rows(rows: &[Value], arguments: &[&str]) -> Vec<Value> {
     let input: Vec<&str> = rows.iter().map(|row| string(row, "frame")).collect();
     let output = run_on(input.join("\n"), &[&["decode", "--json"], arguments].concat());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stdout));
-    let told = objects(&output);
-    assert_eq!(told.len(), rows.len());
-    for (told, row) in told.iter().zip(rows) {
-        assert_eq!(told["raw"], row["frame"]);
-        assert_eq!(told["bus"], row["bus"]);
-        assert_eq!(told["id"], row["id"], "{row}");
-        assert_eq!(told["name"], row["name"], "{row}");
-        assert_eq!(told["canonical"], row["frame"], "{row}");
-        assert_eq!(told.get("error"), None);
+    let explained = objects(&output);
+    assert_eq!(explained.len(), rows.len());
+    for (explained, row) in explained.iter().zip(rows) {
+        assert_eq!(explained["raw"], row["frame"]);
+        assert_eq!(explained["bus"], row["bus"]);
+        assert_eq!(explained["id"], row["id"], "{row}");
+        assert_eq!(explained["name"], row["name"], "{row}");
+        assert_eq!(explained["canonical"], row["frame"], "{row}");
+        assert_eq!(explained.get("error"), None);
     }
-    told
+    explained
 }
 
 /// Frames, and the direction, id and fields that they are decoded to.
@@ -100,15 +103,15 @@ fn frames_that_are_easily_misread_are_read_right() {
         let bus = if frame.contains('#') { "can" } else { "rs485" };
         let output = run(&["decode", "--json", "--bus", bus, frame]);
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stdout));
-        let told = &objects(&output)[0];
-        let fields = told["fields"].to_string();
-        let read = format!("{} {} {fields}", string(told, "direction"), told["id"]);
+        let explained = &objects(&output)[0];
+        let fields = explained["fields"].to_string();
+        let read = format!("{} {} {fields}", string(explained, "direction"), explained["id"]);
         assert_eq!(read, reading, "{frame}");
-        assert!(told["canonical"].is_string(), "{told}");
+        assert!(explained["canonical"].is_string(), "{explained}");
     }
     // The identifier says which motor answers, whatever the first byte says (5.4).
-    let told = &objects(&run(&["decode", "--json", "501#02E66682EB550000"]))[0];
-    assert_eq!((&told["id"], &told["fields"]["id_byte"]), (&1.into(), &2.into()));
+    let explained = &objects(&run(&["decode", "--json", "501#02E66682EB550000"]))[0];
+    assert_eq!((&explained["id"], &explained["fields"]["id_byte"]), (&1.into(), &2.into()));
     let output = run(&["decode", "141#C001020304050607"]);
     let raw = "141#C001020304050607  motor 1  command  raw: command byte 0xC0 is not known";
     assert_eq!(lines(&output), [raw]);
@@ -121,19 +124,22 @@ fn every_example_of_the_manual_is_explained() {
     {
         let mut rows = vectors(bus);
         rows.retain(|row| row["direction"] == direction);
-        let told = decode_rows(&rows, &["--bus", bus, "--direction", direction]);
-        for (told, row) in told.iter().zip(&rows) {
-            assert_eq!(told["direction"], direction, "{row}");
-            assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
+        let explained = decode_rows(&rows, &["--bus", bus, "--direction", direction]);
+        for (explained, row) in explained.iter().zip(&rows) {
+            assert_eq!(explained["direction"], direction, "{row}");
+            assert!(same_fields(&explained["fields"], &row["fields"]), "{explained}\n{row}");
         }
         // Without --direction the answer is right or open, and never open if a CAN identifier decides it.
-        for (told, row) in decode_rows(&rows, &["--bus", bus]).iter().zip(&rows) {
-            let is_open = told["direction"] == "either";
+        for (explained, row) in decode_rows(&rows, &["--bus", bus]).iter().zip(&rows) {
+            let is_open = explained["direction"] == "either";
             let may_be_open = bus == "rs485" || string(row, "frame").starts_with("300#");
-            assert!(told["direction"] == direction || is_open && may_be_open, "{told}\n{row}");
-            let as_reply = told.get("fields_if_reply").filter(|_| direction == "reply");
-            let fields = as_reply.unwrap_or(&told["fields"]);
-            assert!(same_fields(fields, &row["fields"]), "{told}\n{row}");
+            assert!(
+                explained["direction"] == direction || is_open && may_be_open,
+                "{explained}\n{row}"
+            );
+            let as_reply = explained.get("fields_if_reply").filter(|_| direction == "reply");
+            let fields = as_reply.unwrap_or(&explained["fields"]);
+            assert!(same_fields(fields, &row["fields"]), "{explained}\n{row}");
         }
     }
 }
@@ -302,25 +308,28 @@ fn a_firmware_has_its_own_layouts_and_commands() {
         ("V4.4", "read-single-turn-angle-v4.4", -90.0),
     ] {
         let frame = "241#94000000D8DCFFFF";
-        let told = objects(&run(&["decode", "--json", "--firmware", revision, frame]));
-        assert_eq!((&told[0]["name"], &told[0]["opcode"]), (&name.into(), &"0x94".into()));
-        assert_eq!(told[0]["fields"]["angle_deg"], degrees, "{revision}");
+        let explained = objects(&run(&["decode", "--json", "--firmware", revision, frame]));
+        assert_eq!(
+            (&explained[0]["name"], &explained[0]["opcode"]),
+            (&name.into(), &"0x94".into())
+        );
+        assert_eq!(explained[0]["fields"]["angle_deg"], degrees, "{revision}");
     }
     // V4.4 has dropped 0x79, and the scales of its motion mode depend on the motor.
     let output = run(&["decode", "--firmware", "v4.4", "300#7900010000000000"]);
     assert!(lines(&output)[0].ends_with("raw: command byte 0x79 is not known"), "{output:?}");
     let motion = "501#01E66682EB550000";
-    let told = objects(&run(&["decode", "--json", "--firmware", "v4.4", motion]));
-    assert_eq!(told[0]["fields"]["torque_nm"], Value::Null);
+    let explained = objects(&run(&["decode", "--json", "--firmware", "v4.4", motion]));
+    assert_eq!(explained[0]["fields"]["torque_nm"], Value::Null);
     let of_60 = ["--ranges", "12.566,45,500,5,60"];
-    let told =
+    let explained =
         objects(&run(&[&["decode", "--json", "--firmware", "v4.4", motion], &of_60[..]].concat()));
     // 2901 of 4095 steps from -60 to 60.
-    assert_eq!(told[0]["fields"]["torque_nm"], 2901.0 * 120.0 / 4095.0 - 60.0);
+    assert_eq!(explained[0]["fields"]["torque_nm"], 2901.0 * 120.0 / 4095.0 - 60.0);
 }
 
 #[test]
-fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
+fn each_line_of_a_can_log_is_explained_with_time_and_interface() {
     let log = "\
 # a comment, and an empty line
 
@@ -335,13 +344,13 @@ fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
 ";
     let output = run_on(log, &["decode", "--json", "-"]);
     assert_eq!(output.status.code(), Some(1));
-    let told = objects(&output);
-    let (stops, errors) = told.split_at(4);
+    let explained = objects(&output);
+    let (stops, errors) = explained.split_at(4);
     assert!(stops.iter().all(|object| object["name"] == "stop" && object["error"].is_null()));
     for object in errors {
         assert!(object["error"].is_string() && object["canonical"].is_null(), "{object}");
     }
-    let kept: Vec<[Option<&str>; 3]> = told
+    let kept: Vec<[Option<&str>; 3]> = explained
         .iter()
         .map(|object| ["time", "interface", "raw"].map(|key| object.get(key)?.as_str()))
         .collect();
@@ -367,11 +376,11 @@ fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
         ]
     );
     let output = run_on(log, &["decode"]);
-    let told = lines(&output);
+    let explained = lines(&output);
     let stop = "141#8100000000000000  motor 1  command  stop (0x81)";
-    assert_eq!(told[..2], [stop.to_owned(), format!("can0 {stop}")]);
+    assert_eq!(explained[..2], [stop.to_owned(), format!("can0 {stop}")]);
     let sentence = "this is a CAN FD frame, and the protocol uses classic CAN frames only";
-    assert_eq!(told[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
+    assert_eq!(explained[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
 }
 
 /// Input must not control the terminal that shows it.
@@ -401,20 +410,20 @@ fn control_characters_are_shown_not_sent() {
         &["sim", "--memory", "/dev/null/\u{1b}\u{7f}\n"],
     ] {
         let output = run(arguments);
-        let told = text(&output.stderr);
-        let sentence = told.strip_suffix('\n').unwrap();
-        assert!(sentence.contains(r"\u001b\u007f\u000a"), "{arguments:?}: {told:?}");
-        assert!(!sentence.contains(char::is_control), "{arguments:?}: {told:?}");
+        let explained = text(&output.stderr);
+        let sentence = explained.strip_suffix('\n').unwrap();
+        assert!(sentence.contains(r"\u001b\u007f\u000a"), "{arguments:?}: {explained:?}");
+        assert!(!sentence.contains(char::is_control), "{arguments:?}: {explained:?}");
     }
 }
 
 #[test]
 fn bytes_that_mean_nothing_show_in_the_canonical_frame() {
     let output = run(&["decode", "--json", "141#81000000000000FF"]);
-    let told = &objects(&output)[0];
-    assert_eq!(told["canonical"], "141#8100000000000000");
-    assert_eq!(told["raw"], "141#81000000000000FF");
-    let keys: Vec<&String> = told.as_object().unwrap().keys().collect();
+    let explained = &objects(&output)[0];
+    assert_eq!(explained["canonical"], "141#8100000000000000");
+    assert_eq!(explained["raw"], "141#81000000000000FF");
+    let keys: Vec<&String> = explained.as_object().unwrap().keys().collect();
     assert_eq!(keys, ["raw", "bus", "id", "direction", "name", "opcode", "fields", "canonical"]);
 }
 
@@ -440,38 +449,38 @@ fn rs485_bytes_come_as_arguments_text_or_raw() {
 }
 
 #[test]
-fn noise_between_rs485_frames_is_told() {
+fn noise_between_rs485_frames_is_reported() {
     let frame = "3E 01 08 76 00 00 00 00 00 00 00 7C 07";
     let output = run_on(
         format!("00 3E {frame} {frame}\nnonsense\n3E 01"),
         &["decode", "--bus", "rs485", "--json"],
     );
     assert_eq!(output.status.code(), Some(1));
-    let told = objects(&output);
-    let raw: Vec<&Value> = told.iter().map(|object| &object["raw"]).collect();
+    let explained = objects(&output);
+    let raw: Vec<&Value> = explained.iter().map(|object| &object["raw"]).collect();
     assert_eq!(raw, ["00 3E", frame, frame, "nonsense", "3E 01"]);
-    let errors: Vec<bool> = told.iter().map(|object| object.get("error").is_some()).collect();
+    let errors: Vec<bool> = explained.iter().map(|object| object.get("error").is_some()).collect();
     assert_eq!(errors, [true, false, false, true, true]);
 }
 
 #[test]
-fn files_are_read_also_beside_one_that_cannot_be() {
+fn unreadable_file_does_not_keep_others_from_being_read() {
     let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("decode.log");
     std::fs::write(&path, "141#8100000000000000\n").unwrap();
     let inputs = ["no-such-file", path.to_str().unwrap(), "142#8000000000000000"];
-    let told = [
+    let explained = [
         "141#8100000000000000  motor 1  command  stop (0x81)",
         "142#8000000000000000  motor 2  command  shutdown (0x80)",
     ];
     for (inputs, status) in [(&inputs[..], 2), (&inputs[1..], 0)] {
         let output = run(&[&["decode"], inputs].concat());
-        assert_eq!(lines(&output), told);
+        assert_eq!(lines(&output), explained);
         assert_eq!(output.status.code(), Some(status));
     }
 }
 
 #[test]
-fn a_reader_that_leaves_is_no_error() {
+fn reader_that_leaves_early_is_no_error() {
     let frames = "141#8100000000000000\n".repeat(100_000);
     let mut child = myactuator()
         .arg("decode")

@@ -15,7 +15,7 @@ fn demo(bus: &str) -> String {
 #[test]
 fn four_drives_are_found_moved_and_shut_down_on_either_bus() {
     for (bus, way) in [("can", "Motion mode: all 4"), ("rs485", "Motion mode exists on CAN only")] {
-        let told = demo(bus);
+        let printed = demo(bus);
         for sentence in [
             "4 answer (1 2 3 4)",
             "motor 4: X6-60",
@@ -23,17 +23,17 @@ fn four_drives_are_found_moved_and_shut_down_on_either_bus() {
             way,
             "Shut down: all 4 have confirmed",
         ] {
-            assert!(told.contains(sentence), "{bus}: {sentence:?} is missing in:\n{told}");
+            assert!(printed.contains(sentence), "{bus}: {sentence:?} is missing in:\n{printed}");
         }
     }
 }
 
 #[test]
 fn motion_mode_keeps_the_bus_full() {
-    let told = demo("can");
-    let share = told.lines().find_map(|line| line.trim().strip_prefix("The wire and")).unwrap();
+    let printed = demo("can");
+    let share = printed.lines().find_map(|line| line.trim().strip_prefix("The wire and")).unwrap();
     let percent: f64 =
         share.split("that is ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     // Four motors are too few to fill the bus; their drives' response times decide.
-    assert!((90.0..=100.0).contains(&percent), "{told}");
+    assert!((90.0..=100.0).contains(&percent), "{printed}");
 }

@@ -81,9 +81,9 @@ fn ends_soon(process: &mut Child) -> ExitStatus {
 /// The same, with its standard error, which must fit in a pipe.
 fn ends_saying(process: &mut Child) -> (ExitStatus, String) {
     let ended = ends_soon(process);
-    let mut told = String::new();
-    process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
-    (ended, told)
+    let mut message = String::new();
+    process.stderr.take().unwrap().read_to_string(&mut message).unwrap();
+    (ended, message)
 }
 
 /// Whether this signal ended it, so that a shell ends its loop, too.
@@ -98,8 +98,8 @@ fn has_failed(ended: &ExitStatus) -> bool {
 
 /// The state of the one bus and its motor, from the simulation itself, which costs no time on the bus.
 fn state(socket: &str) -> Value {
-    let told = control(socket, &["--json", "state"]);
-    let mut state: Value = serde_json::from_str(&told).unwrap();
+    let message = control(socket, &["--json", "state"]);
+    let mut state: Value = serde_json::from_str(&message).unwrap();
     state["ok"]["buses"][0].take()
 }
 
@@ -133,15 +133,15 @@ fn a_full_pipe_lets_the_motor_stop_in_time() {
         signal(&mut process, Signal::TERM);
         ends_saying(&mut process)
     };
-    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert!(died_of(Signal::TERM, ended), "{ended}: {told}");
+    let (ended, message) = unless_late(attempt, |(_, message)| tells_of_silence(message));
+    assert!(died_of(Signal::TERM, ended), "{ended}: {message}");
     // Tests in virtual time check the second itself; a busy machine takes longer.
     let angle = angle(socket);
     assert!((0.5 * DPS..3.0 * DPS).contains(&angle) && stands(socket), "{angle} deg");
 }
 
 #[test]
-fn a_motor_that_was_sent_off_stops_when_it_is_told_to_end_before_the_reply_is_printed() {
+fn ctrl_c_before_the_reply_is_printed_stops_the_motor_of_send() {
     let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("slcan");
@@ -157,8 +157,8 @@ fn a_motor_that_was_sent_off_stops_when_it_is_told_to_end_before_the_reply_is_pr
         signal(&mut process, Signal::INT);
         ends_saying(&mut process)
     };
-    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert!(died_of(Signal::INT, ended), "{ended}: {told}");
+    let (ended, message) = unless_late(attempt, |(_, message)| tells_of_silence(message));
+    assert!(died_of(Signal::INT, ended), "{ended}: {message}");
     assert!(stands(socket));
 }
 
@@ -173,30 +173,30 @@ fn a_reader_that_was_killed_stops_the_motor() {
         drop(process.stdout.take());
         ends_saying(&mut process)
     };
-    let (ended, told) = unless_late(attempt, |(_, told)| tells_of_silence(told));
-    assert_eq!(ended.code(), Some(1), "{told}");
+    let (ended, message) = unless_late(attempt, |(_, message)| tells_of_silence(message));
+    assert_eq!(ended.code(), Some(1), "{message}");
     assert!(stands(socket));
 }
 
 #[test]
-fn a_slow_reader_gets_the_result_all_the_same() {
+fn slow_reader_gets_the_result_late() {
     let (mut reader, writer) = full_pipe();
     let mut process = speed("sim:1", "20").stdout(writer).stderr(Stdio::null()).spawn().unwrap();
     sleep(Duration::from_millis(500));
     let reading = std::thread::spawn(move || {
-        let mut told = String::new();
-        reader.read_to_string(&mut told).unwrap();
-        told
+        let mut message = String::new();
+        reader.read_to_string(&mut message).unwrap();
+        message
     });
     assert_eq!(process.wait().unwrap().code(), Some(0));
-    let told = reading.join().unwrap();
+    let message = reading.join().unwrap();
     assert!(
-        told.ends_with("motor 1 has run for 20 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n")
+        message.ends_with("motor 1 has run for 20 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n")
     );
 }
 
 #[test]
-fn signals_stop_the_motor_first_although_nobody_reads() {
+fn signals_stop_the_motor_first_though_both_output_pipes_are_full() {
     let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("slcan");
@@ -226,7 +226,7 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
 }
 
 #[test]
-fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
+fn ctrl_c_while_the_motor_comes_to_rest_waits_for_the_hold() {
     let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("slcan");
@@ -247,9 +247,9 @@ fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
         let ended = process.wait_with_output().unwrap();
         (text(&ended.stderr).to_owned(), ended.status)
     };
-    let (told, ended) = unless_late(attempt, |(told, _)| tells_of_silence(told));
+    let (message, ended) = unless_late(attempt, |(message, _)| tells_of_silence(message));
     assert_eq!(
-        told,
+        message,
         "error: interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n"
     );
     assert!(died_of(Signal::INT, ended), "{ended}");
@@ -266,20 +266,24 @@ fn interrupted(command: &mut Command, mut is_so: impl FnMut() -> bool) -> Output
 }
 
 #[test]
-fn a_stop_goes_on_although_ctrl_c_is_pressed() {
+fn stop_goes_on_though_ctrl_c_is_pressed() {
     let (_folder, path, simulation) = controlled_on("rs485", 1);
     let socket = path.to_str().unwrap();
     let mut stop = myactuator();
     // It retries for a second: no motor has this id.
     stop.args(["stop", "--id", "7", "--bus", simulation.bus("rs485")]);
     let ended = interrupted(&mut stop, || state(socket)["traffic"]["frames"] != 0);
-    let told = text(&ended.stderr);
-    assert!(told.contains("no confirmation of the stop from motor 7"), "{}: {told}", ended.status);
+    let message = text(&ended.stderr);
+    assert!(
+        message.contains("no confirmation of the stop from motor 7"),
+        "{}: {message}",
+        ended.status
+    );
     assert!(died_of(Signal::INT, ended.status), "{}", ended.status);
 }
 
 #[test]
-fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
+fn writes_are_finished_though_ctrl_c_is_pressed() {
     let (_folder, path, simulation) = controlled_with("rs485", 1, &["--quirk", "slow-boot"]);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("rs485");
@@ -295,18 +299,18 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
         (&["id", "--new-id", "7"], "motor 1 is motor 7 now"),
     ] {
         let ended = unless_late(|| attempt(what), |it| tells_of_silence(text(&it.stderr)));
-        let (told, errors) = (text(&ended.stdout), text(&ended.stderr));
-        assert!(told.contains(done), "{}: {told}{errors}", ended.status);
+        let (message, errors) = (text(&ended.stdout), text(&ended.stderr));
+        assert!(message.contains(done), "{}: {message}{errors}", ended.status);
         // The user is told why it goes on, and a shell's loop does not go on to the next motor.
         let why = "note: interrupted: this command is finished first, so that nothing is left half written\n";
-        assert_eq!(errors, why, "{what:?}: {} {told}", ended.status);
+        assert_eq!(errors, why, "{what:?}: {} {message}", ended.status);
         assert!(died_of(Signal::INT, ended.status), "{what:?}: {}", ended.status);
     }
 }
 
-/// It once gave up then, because the bus had carried nothing for that time.
+/// The stop once gave up, because the bus had carried nothing during the suspension.
 #[test]
-fn a_stop_that_was_suspended_goes_on_with_it() {
+fn stop_of_a_suspended_program_goes_on_when_it_continues() {
     let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
     let bus = simulation.bus("slcan");
@@ -334,7 +338,7 @@ fn a_stop_that_was_suspended_goes_on_with_it() {
         control(socket, &["fault", "mend"]);
         kill_process(Pid::from_child(&process), Signal::CONT).unwrap();
         let ended = process.wait_with_output().unwrap();
-        let (told, errors) = (text(&ended.stdout), text(&ended.stderr));
-        assert!(told.starts_with("motor 1 is "), "{what}: {told}{errors}");
+        let (message, errors) = (text(&ended.stdout), text(&ended.stderr));
+        assert!(message.starts_with("motor 1 is "), "{what}: {message}{errors}");
     }
 }

@@ -47,7 +47,7 @@ fn before(line: &str, unit: &str) -> f64 {
 }
 
 #[test]
-fn scan_finds_the_motors_that_there_are() {
+fn scan_finds_all_motors() {
     let lines = done("scan");
     assert_eq!(lines.len(), 4);
     assert!(lines[3].starts_with("motor 4: model X6-60, "), "{}", lines[3]);
@@ -62,7 +62,7 @@ fn scan_finds_the_motors_that_there_are() {
 }
 
 #[test]
-fn info_tells_what_motors_are() {
+fn info_prints_model_version_and_settings() {
     let lines = done("info --id 2");
     assert_eq!(lines[0], "motor 2");
     assert!(lines[1].starts_with("  model X6-60, version date "), "{}", lines[1]);
@@ -76,7 +76,7 @@ fn info_tells_what_motors_are() {
 }
 
 #[test]
-fn status_tells_how_motors_do() {
+fn status_prints_the_state_of_motors() {
     let lines = done("status --id 1");
     assert_eq!(lines.len(), 4, "{lines:?}");
     assert!(lines[1].starts_with("  angle 0 deg, current 0 A, speed 0 dps, "), "{}", lines[1]);
@@ -123,30 +123,30 @@ fn move_goes_on_by_an_angle_with_and_without_a_limit_of_torque() {
 fn a_motor_that_never_moves_is_stopped_also_if_it_may_press() {
     // 1 % of the rated torque does not overcome friction.
     for press in ["", "--press"] {
-        let (status, told) =
+        let (status, message) =
             refused(&format!("move --id 1 --angle-deg 90 --max-torque-pct 1 {press}"));
         assert_eq!(status, 1);
-        assert!(told.contains("comes no nearer to 90 deg"), "{told}");
+        assert!(message.contains("comes no nearer to 90 deg"), "{message}");
         assert!(
-            told.ends_with(
+            message.ends_with(
                 "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
             ),
-            "{told}"
+            "{message}"
         );
     }
 }
 
 #[test]
 fn a_motor_that_does_not_arrive_in_time_is_stopped() {
-    let (status, told) = refused("move --id 1 --angle-deg 720 --timeout-s 1");
+    let (status, message) = refused("move --id 1 --angle-deg 720 --timeout-s 1");
     assert_eq!(status, 1);
-    assert!(told.starts_with("motor 1 has not arrived: it is at "), "{told}");
-    assert!(told.contains("not at 720 deg when its time is up"), "{told}");
+    assert!(message.starts_with("motor 1 has not arrived: it is at "), "{message}");
+    assert!(message.contains("not at 720 deg when its time is up"), "{message}");
     assert!(
-        told.ends_with(
+        message.ends_with(
             "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
         ),
-        "{told}"
+        "{message}"
     );
 }
 
@@ -155,8 +155,8 @@ fn speed_turns_the_motor_and_then_holds_it() {
     for bus in ["sim", "sim:1,rs485"] {
         let lines = done(&format!("speed --bus {bus} --id 1 --speed-dps -90 --for-s 0.5"));
         let (end, way) = lines.split_last().unwrap();
-        let told = "motor 1 has run for 0.5 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
-        assert_eq!(end, told);
+        let message = "motor 1 has run for 0.5 s; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
+        assert_eq!(end, message);
         assert_eq!(before(way.last().unwrap(), "dps"), -90.0);
     }
 }
@@ -172,7 +172,7 @@ fn torque_releases_the_brake_and_locks_it_again() {
 }
 
 #[test]
-fn motion_runs_to_its_position_by_the_ranges_told() {
+fn motion_runs_to_its_position_by_the_given_ranges() {
     let motion = "motion --id 2 --position-rad 1 --kp 40 --kd 2 --for-s 0.5";
     let lines = done(motion);
     for ranges in ["--firmware v4.3", "--ranges 12.5,45,500,5,24"] {
@@ -187,12 +187,12 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
     );
     assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
     // Scales other than its firmware's would multiply the torque.
-    let (status, told) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));
-    assert!(status == 1 && told.contains("has scales of its own"), "{status}: {told}");
+    let (status, message) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));
+    assert!(status == 1 && message.contains("has scales of its own"), "{status}: {message}");
     assert_eq!(refused(&format!("{motion} --ranges v4.3")).0, 2);
     assert_eq!(refused("send --id 2 --firmware v4.4 read-single-turn-angle-v4.4").0, 1);
-    let (status, told) = refused(&format!("{motion} --bus sim:2,rs485"));
-    assert_eq!((status, told.as_str()), (2, "--bus: motion exists on CAN only"));
+    let (status, message) = refused(&format!("{motion} --bus sim:2,rs485"));
+    assert_eq!((status, message.as_str()), (2, "--bus: motion exists on CAN only"));
 }
 
 /// Commands, and their output.
@@ -212,19 +212,19 @@ fn any_command_is_sent_and_its_reply_explained() {
         assert_eq!(done(&format!("send {arguments}")), [answer], "{arguments}");
     }
     let motion = "motion --position-rad 0 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
-    let told = objects(&format!("send --json --id 1 {motion}"));
-    assert_eq!(told[0]["fields"]["id_byte"], 1);
-    assert_eq!(told[0]["fields"]["position_raw"], 32_768);
+    let message = objects(&format!("send --json --id 1 {motion}"));
+    assert_eq!(message[0]["fields"]["id_byte"], 1);
+    assert_eq!(message[0]["fields"]["position_raw"], 32_768);
     assert_eq!(objects("send --json --id 1 reset"), [Value::Null; 0]);
 }
 
 #[test]
 fn a_command_to_all_is_answered_by_each() {
     let mut voltages = objects("send --id all read-status1 --json --bus sim:5");
-    voltages.sort_by_key(|told| told["id"].as_u64());
-    let ids: Vec<u64> = voltages.iter().map(|told| told["id"].as_u64().unwrap()).collect();
+    voltages.sort_by_key(|message| message["id"].as_u64());
+    let ids: Vec<u64> = voltages.iter().map(|message| message["id"].as_u64().unwrap()).collect();
     assert_eq!(ids, [1, 2, 3, 4, 5]);
-    assert!(voltages.iter().all(|told| told["fields"]["voltage_v"] == 48.0));
+    assert!(voltages.iter().all(|message| message["fields"]["voltage_v"] == 48.0));
 }
 
 #[test]
@@ -244,30 +244,30 @@ fn stop_and_shutdown_reach_one_or_all() {
     let off = "motor 1 is off (0x80): its shaft is free unless a brake holds it";
     assert_eq!(done("shutdown --id 1"), [off]);
     assert!(!done("stop --bus sim:32")[0].contains("no other id"));
-    let (status, told) = refused("stop --id 9");
+    let (status, message) = refused("stop --id 9");
     assert_eq!(status, 1);
     let doubt = "no confirmation of the stop from motor 9: if it is on this bus, cut its power";
-    assert_eq!(told, doubt);
+    assert_eq!(message, doubt);
 }
 
 /// The standard error when this is sent.
-fn told_beside(command: &str) -> String {
+fn stderr_of_send(command: &str) -> String {
     let output = run_simulated(&format!("send --yes --json {command}"));
     assert_eq!(output.status.code(), Some(0), "{command}");
     text(&output.stderr).to_owned()
 }
 
 #[test]
-fn what_goes_on_after_send_is_told() {
+fn send_notes_which_motors_may_go_on() {
     let turn = "speed --speed-dps 90 --max-torque-pct 0";
-    let told = told_beside(&format!("--id 1 {turn}"));
+    let message = stderr_of_send(&format!("--id 1 {turn}"));
     let ends = "'myactuator stop --bus sim:4 --id 1' ends that\n";
-    assert!(told.contains(&format!("note: motor 1 may go on: {ends}")), "{told}");
-    let told = told_beside(&format!("--id all {turn}"));
+    assert!(message.contains(&format!("note: motor 1 may go on: {ends}")), "{message}");
+    let message = stderr_of_send(&format!("--id all {turn}"));
     let ends = "'myactuator stop --bus sim:4 --id all' ends that\n";
-    assert!(told.contains(&format!("note: motors 1 2 3 4 may go on: {ends}")), "{told}");
-    assert!(!told_beside("--id 1 read-status2").contains("note"));
-    assert!(!told_beside("--id 1 stop").contains("note"));
+    assert!(message.contains(&format!("note: motors 1 2 3 4 may go on: {ends}")), "{message}");
+    assert!(!stderr_of_send("--id 1 read-status2").contains("note"));
+    assert!(!stderr_of_send("--id 1 stop").contains("note"));
 }
 
 #[test]
@@ -282,26 +282,26 @@ fn the_brake_is_released_and_locked() {
 #[test]
 fn a_motor_is_restarted_and_protected() {
     for bus in ["sim:2", "sim:2,rs485"] {
-        let told = done(&format!("reset --bus {bus} --id 2"));
-        assert_eq!(told, ["motor 2 has restarted: it read 0 deg and reads 0 deg"]);
-        let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 500"));
-        assert!(told[0].starts_with("motor 2 cuts its output when it hears nothing for 500 ms"));
-        let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 0"));
-        assert_eq!(told, ["motor 2: the communication-loss protection is off"]);
+        let message = done(&format!("reset --bus {bus} --id 2"));
+        assert_eq!(message, ["motor 2 has restarted: it read 0 deg and reads 0 deg"]);
+        let message = done(&format!("timeout --bus {bus} --id 2 --time-ms 500"));
+        assert!(message[0].starts_with("motor 2 cuts its output when it hears nothing for 500 ms"));
+        let message = done(&format!("timeout --bus {bus} --id 2 --time-ms 0"));
+        assert_eq!(message, ["motor 2: the communication-loss protection is off"]);
     }
 }
 
 #[test]
-fn a_protection_shorter_than_this_program_speaks_is_told_of() {
+fn protection_too_short_for_this_programs_commands_is_noted() {
     let beside = |millis: &str| {
         let output = run_simulated(&format!("timeout --yes --id 1 --time-ms {millis}"));
         assert_eq!(output.status.code(), Some(0), "{millis}");
         text(&output.stderr).to_owned()
     };
-    let told = beside("49");
+    let message = beside("49");
     let note = "note: below 50 ms the protection may end a movement of this program: it sends every 10 to 20 ms, and \
                 less often on a busy machine\n";
-    assert!(told.ends_with(note), "{told}");
+    assert!(message.ends_with(note), "{message}");
     for millis in ["0", "50"] {
         assert!(!beside(millis).contains("note"), "{millis}");
     }
@@ -321,23 +321,23 @@ fn an_id_is_changed_on_either_bus() {
         assert_eq!(done(&format!("id --bus {bus} --new-id 7")), ["motor 1 is motor 7 now"]);
     }
     for bus in ["sim:3", "sim:3,rs485"] {
-        let told = done(&format!("id --bus {bus} --id 2 --new-id 7"));
-        assert_eq!(told, ["motor 2 is motor 7 now"]);
+        let message = done(&format!("id --bus {bus} --id 2 --new-id 7"));
+        assert_eq!(message, ["motor 2 is motor 7 now"]);
     }
     assert_eq!(done("id --bus sim:1 --id 1 --new-id 1"), ["motor 1 has this id already"]);
-    let (status, told) = refused("id --bus sim:4 --new-id 7");
+    let (status, message) = refused("id --bus sim:4 --new-id 7");
     assert_eq!(status, 1);
-    assert!(told.ends_with("(there are: 1 2 3 4)"), "{told}");
-    let (status, told) = refused("id --bus sim:1 --id 2 --new-id 7");
-    assert_eq!((status, told.as_str()), (1, "the only motor has id 1, not 2"));
+    assert!(message.ends_with("(there are: 1 2 3 4)"), "{message}");
+    let (status, message) = refused("id --bus sim:1 --id 2 --new-id 7");
+    assert_eq!((status, message.as_str()), (1, "the only motor has id 1, not 2"));
 }
 
 #[test]
-fn who_is_not_there_is_told() {
+fn absent_motor_is_reported() {
     let nobody = "motor 9: no reply: is the motor powered, and is this its id?";
     for command in ["info", "status", "move --angle-deg 1", "zero", "brake lock", "reset"] {
-        let (status, told) = refused(&format!("{command} --id 9"));
-        assert_eq!((status, told.as_str()), (1, nobody), "{command}");
+        let (status, message) = refused(&format!("{command} --id 9"));
+        assert_eq!((status, message.as_str()), (1, nobody), "{command}");
     }
 }
 
@@ -373,7 +373,7 @@ fn values_out_of_range_are_refused_with_the_range() {
 }
 
 #[test]
-fn what_acts_on_motors_needs_a_bus_and_what_reads_takes_simulated_ones() {
+fn acting_commands_need_a_bus_and_reading_ones_default_to_simulation() {
     let acts = "
 stop
 shutdown
@@ -393,10 +393,12 @@ send --id 1 write-pid-ram --index speed-kp --value 0.5
 send --id 1 raw C0 0 0 0 0 0 0 0";
     for arguments in acts.lines().skip(1) {
         let output = run_words(arguments);
-        let told = text(&output.stderr);
+        let message = text(&output.stderr);
         assert_eq!((output.status.code(), text(&output.stdout)), (Some(2), ""), "{arguments}");
-        assert!(told.starts_with("error: --bus is missing: "), "{arguments}: {told}");
-        assert!(told.contains("MYACTUATOR_BUS") && told.contains("or sim for simulated ones"));
+        assert!(message.starts_with("error: --bus is missing: "), "{arguments}: {message}");
+        assert!(
+            message.contains("MYACTUATOR_BUS") && message.contains("or sim for simulated ones")
+        );
     }
     for arguments in ["scan", "status --id 1", "send --id 1 read-status1"] {
         let output = run_words(arguments);
@@ -415,22 +417,22 @@ fn the_environment_names_a_bus_and_the_command_line_another() {
     assert_eq!(text(&with("sim:2", &["stop"]).stdout), stopped);
     assert_eq!(text(&with("sim:3", &["stop", "--bus", "sim:2"]).stdout), stopped);
     assert_eq!(with("", &["stop"]).status.code(), Some(2));
-    let told = with("sim:0", &["scan"]);
-    assert_eq!(told.status.code(), Some(2));
-    assert!(text(&told.stderr).starts_with("error: MYACTUATOR_BUS: expected "));
+    let message = with("sim:0", &["scan"]);
+    assert_eq!(message.status.code(), Some(2));
+    assert!(text(&message.stderr).starts_with("error: MYACTUATOR_BUS: expected "));
 }
 
 #[test]
 fn a_string_that_names_no_bus_is_refused() {
     for (bus, found) in [("usb:7", "found \"usb:7\""), ("sim:0", "found \"0\"")] {
-        let (status, told) = refused(&format!("scan --bus {bus}"));
+        let (status, message) = refused(&format!("scan --bus {bus}"));
         assert_eq!(status, 2);
-        assert!(told.starts_with("--bus: expected ") && told.ends_with(found), "{told}");
+        assert!(message.starts_with("--bus: expected ") && message.ends_with(found), "{message}");
     }
 }
 
 #[test]
-fn a_bus_that_is_not_there_is_told_in_one_sentence() {
+fn missing_bus_is_reported_in_one_sentence() {
     for command in [
         "scan",
         "status",
@@ -439,13 +441,13 @@ fn a_bus_that_is_not_there_is_told_in_one_sentence() {
         "send --id 1 read-model",
         "send --yes --id 1 reset",
     ] {
-        let (status, told) = refused(&format!("{command} --bus no-such-can"));
+        let (status, message) = refused(&format!("{command} --bus no-such-can"));
         assert_eq!(status, 1);
-        assert!(told.starts_with("there is no CAN interface \"no-such-can\": "), "{told}");
-        assert!(told.contains("sim:4, can0, slcan:/dev/ttyACM0@1000000"), "{told}");
-        let (status, told) = refused(&format!("{command} --bus rs485:/no/such/port@115200"));
+        assert!(message.starts_with("there is no CAN interface \"no-such-can\": "), "{message}");
+        assert!(message.contains("sim:4, can0, slcan:/dev/ttyACM0@1000000"), "{message}");
+        let (status, message) = refused(&format!("{command} --bus rs485:/no/such/port@115200"));
         assert_eq!(status, 1);
-        assert!(told.starts_with("there is no serial port \"/no/such/port\""), "{told}");
+        assert!(message.starts_with("there is no serial port \"/no/such/port\""), "{message}");
     }
 }
 
@@ -467,9 +469,9 @@ fn without_a_terminal_a_real_motor_moves_only_with_consent() {
         "send --id 1 write-pid-rom --index current-kp --value 1",
         "send --id 1 raw C0 0 0 0 0 0 0 0",
     ] {
-        let (status, told) = refused(&format!("{command} --bus can0"));
+        let (status, message) = refused(&format!("{command} --bus can0"));
         assert_eq!(status, 2, "{command}");
-        assert!(told.starts_with("--yes is missing"), "{command}: {told}");
+        assert!(message.starts_with("--yes is missing"), "{command}: {message}");
     }
 }
 

@@ -27,12 +27,12 @@ fn asked(arguments: &str) -> (Child, File, String) {
     program.args(arguments.split_whitespace());
     program.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut process = program.spawn().unwrap();
-    let (mut told, mut byte) = (Vec::new(), [0]);
+    let (mut message, mut byte) = (Vec::new(), [0]);
     let errors = process.stderr.as_mut().unwrap();
-    while !told.ends_with(b"[y/N] ") && errors.read(&mut byte).unwrap() > 0 {
-        told.push(byte[0]);
+    while !message.ends_with(b"[y/N] ") && errors.read(&mut byte).unwrap() > 0 {
+        message.push(byte[0]);
     }
-    (process, keys, text(&told).to_owned())
+    (process, keys, text(&message).to_owned())
 }
 
 #[test]
@@ -45,10 +45,10 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
         "error: motor 1 is at 1800 deg (31.42 rad), and motion mode reaches from -12.5 to 12.5 rad";
     // The user is not asked about a move that would be refused.
     control(socket, &["angle", "--id", "1", "1800"]);
-    let (process, _keys, told) = asked(&format!("{motion} --bus {bus}"));
-    assert!(told.starts_with(beyond), "{told}");
+    let (process, _keys, message) = asked(&format!("{motion} --bus {bus}"));
+    assert!(message.starts_with(beyond), "{message}");
     assert_eq!(process.wait_with_output().unwrap().status.code(), Some(1));
-    for (answer, degrees, told, status) in [
+    for (answer, degrees, message, status) in [
         ("n", "1800", "error: not confirmed, so nothing was done\n", 1),
         ("y", "1800", beyond, 1),
         ("y", "300", "", 0),
@@ -71,7 +71,7 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
         };
         let (ended, _, errors) = unless_late(attempt, is_silent);
         assert_eq!(ended, Some(status), "{degrees}: {errors}");
-        assert!(errors.starts_with(told), "{degrees}: {errors}");
+        assert!(errors.starts_with(message), "{degrees}: {errors}");
         let stays = control(socket, &["state"]).contains(&format!("motor 1: {degrees}.00 deg"));
         assert_eq!(stays, status == 1, "{answer} {degrees}");
     }

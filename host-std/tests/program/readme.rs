@@ -18,7 +18,7 @@ const TWO_ARMS_FILE: &str = include_str!("../../examples/two_arms.toml");
 const ASK_MOVE_STOP: &str = include_str!("../../examples/ask_move_stop.rs");
 
 #[test]
-fn what_is_shown_of_the_examples_is_what_they_are() {
+fn code_shown_in_the_readme_is_that_of_the_examples() {
     for (heading, example) in
         [("## A control loop", CONTROL_LOOP), ("## Asking, moving, stopping", ASK_MOVE_STOP)]
     {
@@ -35,7 +35,7 @@ fn what_is_shown_of_the_examples_is_what_they_are() {
 
 /// The rest of that section is run by `.ci/robot`.
 #[test]
-fn what_is_shown_of_the_robot_is_what_it_is() {
+fn robot_shown_in_the_readme_is_that_of_the_example() {
     let (_, section) = README.split_once("## A robot from one file").unwrap();
     let block = |language: &str| {
         let (_, block) = section.split_once(&format!("```{language}\n")).unwrap();
@@ -49,7 +49,7 @@ fn what_is_shown_of_the_robot_is_what_it_is() {
 }
 
 #[test]
-fn commands_print_what_is_shown() {
+fn commands_print_what_the_readme_shows() {
     let blocks = README.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
     let mut compared = 0;
     for run in blocks.flat_map(|block| block.split("$ myactuator ").skip(1)) {

@@ -75,9 +75,9 @@ impl Drop for Ends<'_> {
 }
 
 /// Whether a program says that a motor did not answer.
-pub(crate) fn tells_of_silence(told: &str) -> bool {
+pub(crate) fn tells_of_silence(message: &str) -> bool {
     let silence = ["no reply", "does not answer", "errors cannot be read", "but not always"];
-    silence.iter().any(|words| told.contains(words))
+    silence.iter().any(|words| message.contains(words))
 }
 
 /// As [`run`], with arguments without spaces.

@@ -80,7 +80,7 @@ fn drives_are_looked_at_and_changed_while_they_run() {
 }
 
 #[test]
-fn the_log_is_told_to_who_asks_for_it() {
+fn log_is_printed_to_the_client_that_asks_for_it() {
     use std::io::{BufRead as _, BufReader};
 
     let folder = tempfile::tempdir().unwrap();
@@ -107,7 +107,7 @@ fn the_log_is_told_to_who_asks_for_it() {
 }
 
 #[test]
-fn lock_step_needs_somebody_to_step() {
+fn lock_step_needs_a_control_socket() {
     let output = run(&["sim", "--lock-step"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(text(&output.stderr).contains("--control"), "{}", text(&output.stderr));

@@ -21,10 +21,10 @@ impl Drop for Ended {
     }
 }
 
-fn sim(arguments: &[&str], told: Stdio) -> Ended {
+fn sim(arguments: &[&str], logged: Stdio) -> Ended {
     let mut command = myactuator();
     command.args(["sim", "--only", "rs485", "--count", "1", "--brakes"]).args(arguments);
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(told);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(logged);
     let alone = alone();
     let process = command.spawn().unwrap();
     prefer(&process);
@@ -37,48 +37,48 @@ fn push(bus: &str) {
 }
 
 #[test]
-fn the_log_says_what_a_drive_did_not_do_and_why_as_json() {
+fn log_reports_a_command_that_was_not_run_with_its_reason_as_json() {
     let mut simulation = sim(&["--json"], Stdio::null());
     let mut lines = BufReader::new(simulation.0.stdout.take().unwrap()).lines();
     let mut next = || serde_json::from_str::<Value>(&lines.next().unwrap().unwrap()).unwrap();
     let bus = next()["bus"].as_str().unwrap().to_owned();
     push(&bus);
-    let told = next();
-    assert_eq!(told["kind"], "log");
-    assert_eq!((&told["bus"], &told["motor"]), (&"rs485".into(), &1.into()));
+    let logged = next();
+    assert_eq!(logged["kind"], "log");
+    assert_eq!((&logged["bus"], &logged["motor"]), (&"rs485".into(), &1.into()));
     let event = serde_json::json!({ "not-run": { "opcode": "torque", "reason": "brake-locked" } });
-    assert_eq!(told["event"], event);
-    assert!(told["text"].as_str().unwrap().contains("its brake is locked"), "{told}");
+    assert_eq!(logged["event"], event);
+    assert!(logged["text"].as_str().unwrap().contains("its brake is locked"), "{logged}");
 }
 
 /// The bus that it prints for people.
-fn told_bus(simulation: &mut Ended) -> String {
+fn printed_bus(simulation: &mut Ended) -> String {
     let lines = BufReader::new(simulation.0.stdout.take().unwrap()).lines();
     let mut buses = lines.filter_map(|line| Some(line.unwrap().split_once("--bus ")?.1.to_owned()));
     buses.next().unwrap()
 }
 
 #[test]
-fn people_read_the_log_beside_the_output() {
+fn log_is_printed_as_text_to_stderr() {
     let mut simulation = sim(&[], Stdio::piped());
-    let bus = told_bus(&mut simulation);
+    let bus = printed_bus(&mut simulation);
     push(&bus);
     kill_process(Pid::from_child(&simulation.0), Signal::INT).unwrap();
-    let mut told = String::new();
-    simulation.0.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+    let mut logged = String::new();
+    simulation.0.stderr.take().unwrap().read_to_string(&mut logged).unwrap();
     assert!(simulation.0.wait().unwrap().success());
-    let told = told.lines().find(|line| line.contains("torque (0xA1)")).unwrap();
+    let logged = logged.lines().find(|line| line.contains("torque (0xA1)")).unwrap();
     assert!(
-        told.contains(" s  rs485 motor 1 answers torque (0xA1) and does not run it: "),
-        "{told}"
+        logged.contains(" s  rs485 motor 1 answers torque (0xA1) and does not run it: "),
+        "{logged}"
     );
 }
 
 #[test]
-fn who_does_not_read_the_log_holds_nothing_up() {
+fn unread_log_holds_nothing_up() {
     let (reader, writer) = full_pipe();
     let mut simulation = sim(&[], Stdio::from(writer));
-    let bus = told_bus(&mut simulation);
+    let bus = printed_bus(&mut simulation);
     push(&bus);
     push(&bus);
     kill_process(Pid::from_child(&simulation.0), Signal::INT).unwrap();

@@ -109,21 +109,21 @@ fn a_gripper_presses_against_what_is_in_its_way() {
         let output = run_words(&format!("{grip} {bus}"));
         (simulation.end(Signal::INT), [output.stdout, output.stderr].concat())
     };
-    let (end, told) = unless_late(attempt, |(_, told)| tells_of_silence(text(told)));
-    let told = text(&told);
-    assert!(told.contains("motor 1 has met something at 2"), "{told}");
+    let (end, message) = unless_late(attempt, |(_, message)| tells_of_silence(text(message)));
+    let message = text(&message);
+    assert!(message.contains("motor 1 has met something at 2"), "{message}");
     assert_eq!(end, ended_well());
 }
 
 #[test]
-fn what_a_file_says_is_not_said_beside_it_and_what_is_wrong_in_it_is_told() {
+fn options_conflict_with_a_robot_file_and_its_errors_are_explained() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(folder.path(), ROBOT);
     let refused = |arguments: &[&str], status, expected: &str| {
         let output = run(&[&["sim"], arguments].concat());
-        let told = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(status), "{told}");
-        assert!(told.contains(expected), "{told}");
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(status), "{message}");
+        assert!(message.contains(expected), "{message}");
     };
     for option in [
         "--count 2",

@@ -98,12 +98,12 @@ impl Simulation {
     /// Sends a signal. Returns how it ended and its errors.
     pub(crate) fn end(mut self, signal: Signal) -> (ExitStatus, String) {
         kill_process(Pid::from_child(&self.process), signal).unwrap();
-        let mut told = String::new();
-        self.process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+        let mut message = String::new();
+        self.process.stderr.take().unwrap().read_to_string(&mut message).unwrap();
         // A busy machine is not an error.
-        let told = told.lines().filter(|line| !line.contains("time stood still"));
-        let told = told.map(|line| format!("{line}\n")).collect();
-        (self.process.wait().unwrap(), told)
+        let message = message.lines().filter(|line| !line.contains("time stood still"));
+        let message = message.map(|line| format!("{line}\n")).collect();
+        (self.process.wait().unwrap(), message)
     }
 }
 
@@ -161,7 +161,7 @@ fn scan_at_all_rates(bus: &str) -> Vec<String> {
 
 /// 2.32: motor 2 is set to another rate, which takes effect with the next run.
 #[test]
-fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
+fn motor_set_to_another_rate_is_found_at_that_rate() {
     let folder = tempfile::tempdir().unwrap();
     let memory = folder.path().join("memory");
     let arguments = ["--count", "2", "--memory", memory.to_str().unwrap()];
@@ -190,9 +190,10 @@ fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
     let both = [fast, &slow];
     assert_eq!(both.map(|bus| answers(bus, "1")), [true, false]);
     assert_eq!(both.map(|bus| answers(bus, "2")), [false, true]);
-    let (status, told) = second.end(Signal::INT);
+    let (status, message) = second.end(Signal::INT);
     assert!(status.success());
-    let beginnings: Vec<&str> = told.lines().map(|line| line.split(',').next().unwrap()).collect();
+    let beginnings: Vec<&str> =
+        message.lines().map(|line| line.split(',').next().unwrap()).collect();
     let (drives, programs) = beginnings.split_at(2);
     let of =
         |bus: &str| format!("note: motor 2 of the bus \"{bus}\" was set to 500000 bit/s (0xB4)");
@@ -202,7 +203,7 @@ fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
 }
 
 #[test]
-fn where_nobody_has_the_adapters_rate_the_search_goes_on() {
+fn search_goes_on_where_no_motor_has_the_adapters_rate() {
     let arguments = ["--only", "slcan", "--count", "1", "--bit-rate", "500000"];
     let simulation = Simulation::start(1, &arguments);
     assert_eq!(
@@ -223,12 +224,12 @@ fn a_line_is_searched_at_all_its_rates() {
 }
 
 #[test]
-fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
+fn motor_with_its_output_cut_is_not_reported_holding() {
     let simulation =
         Simulation::start(1, &["--only", "slcan", "--count", "2", "--fault", "stall@2"]);
-    let (status, told) = run_at(simulation.bus("slcan"), &["stop"]);
+    let (status, message) = run_at(simulation.bus("slcan"), &["stop"]);
     assert_eq!(
-        told,
+        message,
         "error: motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that; motor 2 has confirmed the stop (0x81) but reports an error \
          (motor stalled), for which a drive cuts its output: only a locked brake holds its shaft; no other id has \
          confirmed: a motor that is not named here may go on\n"
@@ -281,8 +282,8 @@ fn the_slcan_adapter_answers_and_carries_frames() {
         line(&port)
     };
     assert_eq!(say("V\r"), "V1013\r");
-    for told in ["S8\r", "O\r", "C\r", "S6\r", "O\r"] {
-        assert_eq!(say(told), "\r");
+    for message in ["S8\r", "O\r", "C\r", "S6\r", "O\r"] {
+        assert_eq!(say(message), "\r");
     }
     // 2.30.4: 0xB2 asks for the version; the reply repeats the command byte.
     assert_eq!(say("t1418B200000000000000\r"), "z\r");
@@ -292,10 +293,10 @@ fn the_slcan_adapter_answers_and_carries_frames() {
     assert_eq!(say("t40187FFF7FF0000007FF\r"), "z\r");
     let reply = line(&port);
     assert!(reply.starts_with("t501801") && reply.len() == 22, "{reply:?}");
-    let (status, told) = simulation.end(Signal::TERM);
+    let (status, message) = simulation.end(Signal::TERM);
     assert!(status.success());
     assert_eq!(
-        told,
+        message,
         "note: a program speaks at 1000000 bit/s, but the simulated bus \"can\" runs at 500000: only drives that \
          were set to its rate (0xB4) understand it; for the others set it to 500000, or start with --bit-rate \
          1000000\n"
@@ -308,7 +309,7 @@ fn forgiving(config: Config) -> Config {
 }
 
 #[test]
-fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
+fn masters_reach_all_motors_by_the_printed_addresses_on_both_buses() {
     let folder = tempfile::tempdir().unwrap();
     let links = folder.path().join("buses");
     let options = ["--quirk", "echo-noise", "--count", "3", "--link", links.to_str().unwrap()];
@@ -329,13 +330,13 @@ fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
         let attempt = || {
             let mut master = AnyMaster::<4>::open_with(&address, config).unwrap();
             let asked = motors.iter().cycle().take(30);
-            let told = asked.map(|motor| master.ask(motor, ReadVersionDate).ok());
-            let told = told.map(|date| Firmware::of_version_date(date?.version_date));
-            told.collect::<Vec<_>>()
+            let message = asked.map(|motor| master.ask(motor, ReadVersionDate).ok());
+            let message = message.map(|date| Firmware::of_version_date(date?.version_date));
+            message.collect::<Vec<_>>()
         };
         // An echo that comes a tenth of a second late counts as an answer.
-        let told = unless_late(attempt, |told| told.contains(&None));
-        assert_eq!(told, [Some(Firmware::V4_3); 30]);
+        let message = unless_late(attempt, |message| message.contains(&None));
+        assert_eq!(message, [Some(Firmware::V4_3); 30]);
     }
     assert_eq!(simulation.end(Signal::INT), ended_well());
     assert_eq!(std::fs::read_dir(links).unwrap().count(), 0);
@@ -345,24 +346,24 @@ fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
 pub(crate) fn run_at(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
     let attempt = || {
         let output = run(&[arguments, &["--bus", bus]].concat());
-        let told = [output.stdout, output.stderr].concat();
-        (output.status.code(), String::from_utf8(told).unwrap())
+        let message = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8(message).unwrap())
     };
-    unless_late(attempt, |(_, told)| tells_of_silence(told))
+    unless_late(attempt, |(_, message)| tells_of_silence(message))
 }
 
 /// The output of the program, which must succeed.
 pub(crate) fn done_at(bus: &str, arguments: &[&str]) -> String {
-    let (status, told) = run_at(bus, arguments);
-    assert_eq!(status, Some(0), "{told}");
-    told
+    let (status, message) = run_at(bus, arguments);
+    assert_eq!(status, Some(0), "{message}");
+    message
 }
 
 /// A value that `status` reports of motor 1.
 fn state(bus: &str, key: &str) -> f64 {
-    let told = done_at(bus, &["status", "--json", "--id", "1"]);
-    let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
-    status[key].as_f64().unwrap_or_else(|| panic!("{told}"))
+    let message = done_at(bus, &["status", "--json", "--id", "1"]);
+    let status: Value = serde_json::from_str(message.lines().next().unwrap()).unwrap();
+    status[key].as_f64().unwrap_or_else(|| panic!("{message}"))
 }
 
 #[test]
@@ -403,7 +404,7 @@ fn drives_remember_their_turns_over_runs() {
 }
 
 #[test]
-fn faults_and_quirks_are_those_asked_for() {
+fn faults_and_quirks_are_those_of_the_options() {
     use myactuator_protocol_core::command::ReadStatus1;
 
     let faults = ["--fault", "encoder-data@1", "--quirk", "echo", "--brakes", "--seed", "7"];
@@ -423,12 +424,12 @@ fn faults_and_quirks_are_those_asked_for() {
 }
 
 #[test]
-fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
+fn two_motors_of_one_id_are_refused_by_all_commands_that_write() {
     let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2", "--same-id", "1"]);
     let bus = simulation.bus("slcan");
-    let (status, told) = run_at(bus, &["id", "--id", "1", "--new-id", "7", "--yes"]);
-    assert_eq!(status, Some(1), "{told}");
-    assert!(told.contains("two motors seem to have id 1"), "{told}");
+    let (status, message) = run_at(bus, &["id", "--id", "1", "--new-id", "7", "--yes"]);
+    assert_eq!(status, Some(1), "{message}");
+    assert!(message.contains("two motors seem to have id 1"), "{message}");
     // Sometimes two equal answers become one frame.
     let is_told = |_| run_at(bus, &["scan"]).1.contains("note: two motors seem to have id 1");
     assert!((0..3).any(is_told));
@@ -443,9 +444,9 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     ];
     for change in changes {
         let words: Vec<&str> = change.split(' ').chain(["--id", "1", "--yes"]).collect();
-        let (status, told) = run_at(bus, &words);
-        assert_eq!(status, Some(1), "{change}: {told}");
-        assert!(told.contains("error: two motors seem to have id 1"), "{change}: {told}");
+        let (status, message) = run_at(bus, &words);
+        assert_eq!(status, Some(1), "{change}: {message}");
+        assert!(message.contains("error: two motors seem to have id 1"), "{change}: {message}");
     }
     // Commands that move are not refused, and get only a check that costs no time.
     let turn = ["speed", "--id", "1", "--speed-dps", "5", "--for-s", "0.1", "--yes"];
@@ -457,8 +458,8 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     assert!(!read.contains("two motors"), "{read}");
     drop(simulation);
     let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2"]);
-    let told = done_at(simulation.bus("slcan"), &["scan"]);
-    assert!(told.contains("motor 2:") && !told.contains("note"), "{told}");
+    let message = done_at(simulation.bus("slcan"), &["scan"]);
+    assert!(message.contains("motor 2:") && !message.contains("note"), "{message}");
 }
 
 /// The echo of a stop is the same bytes as its confirmation.
@@ -467,22 +468,22 @@ fn an_echo_that_the_address_does_not_name_is_known_before_the_first_command() {
     let options = ["--only", "rs485", "--count", "1", "--quirk", "echo-noise", "--seed", "7"];
     let simulation = Simulation::start(1, &options);
     let bus = simulation.bus("rs485").strip_suffix(",echo").unwrap();
-    let (status, told) = run_at(bus, &["stop", "--id", "2"]);
-    assert_eq!(status, Some(1), "{told}");
+    let (status, message) = run_at(bus, &["stop", "--id", "2"]);
+    assert_eq!(status, Some(1), "{message}");
     done_at(bus, &["stop", "--id", "1"]);
 }
 
 #[test]
-fn the_firmware_is_the_one_asked_for() {
+fn firmware_is_that_of_the_option() {
     let v4_4 = ["--firmware", "v4.4", "--ranges", "12.566,45,500,5,60", "--count", "1"];
     let simulation = Simulation::start(1, &[&["--only", "rs485"], &v4_4[..]].concat());
     let port = simulation.open("rs485");
     // The command is the same in both; V4.4 answers it with another layout.
     port.write_all(&frame(ReadSingleTurnAngle)).unwrap();
-    let told = answer(&port, Firmware::V4_4);
-    assert!(matches!(told, AnyReply::ReadSingleTurnAngleV4_4(_)), "{told:?}");
-    let AnyReply::ReadVersionDate(told) = ask(&port, ReadVersionDate) else { panic!() };
-    assert_eq!(Firmware::of_version_date(told.version_date), Some(Firmware::V4_4));
+    let message = answer(&port, Firmware::V4_4);
+    assert!(matches!(message, AnyReply::ReadSingleTurnAngleV4_4(_)), "{message:?}");
+    let AnyReply::ReadVersionDate(message) = ask(&port, ReadVersionDate) else { panic!() };
+    assert_eq!(Firmware::of_version_date(message.version_date), Some(Firmware::V4_4));
 }
 
 /// The exit status and the standard error.
@@ -493,7 +494,7 @@ fn refused(arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn wrong_options_are_told_in_one_sentence() {
+fn wrong_options_are_refused_in_one_sentence() {
     for (arguments, sentence) in [
         (&["--count", "33"][..], "33 is not in 1..=32"),
         (&["--model", "RMD-Z9"], "--model: no motor model is called \"RMD-Z9\"; there are RMD-"),
@@ -513,18 +514,21 @@ fn wrong_options_are_told_in_one_sentence() {
         (&["--only", "can"], "--only can needs --can"),
         (&["--only", "slcan", "--can", "vcan0"], "drop one of them"),
     ] {
-        let (status, told) = refused(arguments);
-        assert_eq!(status, Some(2), "{arguments:?}: {told}");
-        assert!(told.starts_with("error: ") && told.contains(sentence), "{arguments:?}: {told}");
-        assert_eq!(told.lines().count(), 1, "{arguments:?}: {told}");
+        let (status, message) = refused(arguments);
+        assert_eq!(status, Some(2), "{arguments:?}: {message}");
+        assert!(
+            message.starts_with("error: ") && message.contains(sentence),
+            "{arguments:?}: {message}"
+        );
+        assert_eq!(message.lines().count(), 1, "{arguments:?}: {message}");
     }
 }
 
 #[test]
-fn what_cannot_be_served_is_told() {
-    let (status, told) = refused(&["--can", "no-such-can"]);
+fn interface_that_cannot_be_served_is_reported() {
+    let (status, message) = refused(&["--can", "no-such-can"]);
     assert_eq!(status, Some(1));
-    assert!(told.starts_with("error: ") && told.contains("CAN"), "{told}");
+    assert!(message.starts_with("error: ") && message.contains("CAN"), "{message}");
 }
 
 #[test]
@@ -532,8 +536,8 @@ fn the_programs_own_subcommands_work_on_both_pseudo_terminals() {
     let simulation = Simulation::start(2, &["--count", "2"]);
     for kind in ["rs485", "slcan"] {
         let bus = simulation.bus(kind);
-        let told = done_at(bus, &["scan"]);
-        assert!(told.contains("motor 1:") && told.contains("motor 2:"), "{told}");
+        let message = done_at(bus, &["scan"]);
+        assert!(message.contains("motor 1:") && message.contains("motor 2:"), "{message}");
 
         // There is no terminal to ask on, so motion needs --yes.
         let to_20 = ["move", "--id", "1", "--angle-deg", "20", "--max-speed-dps", "360"];
@@ -560,11 +564,11 @@ fn ctrl_c_stops_the_motor_that_runs() {
         let output = process.wait_with_output().unwrap();
         (first, output.status, String::from_utf8(output.stderr).unwrap())
     };
-    let (first, status, told) = unless_late(attempt, |(.., told)| tells_of_silence(told));
+    let (first, status, message) = unless_late(attempt, |(.., message)| tells_of_silence(message));
     assert!(first.is_some_and(|line| line.is_ok()));
-    assert_eq!(status.signal(), Some(Signal::INT.as_raw()), "{told}");
+    assert_eq!(status.signal(), Some(Signal::INT.as_raw()), "{message}");
     assert_eq!(
-        told,
+        message,
         "error: interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that\n"
     );
     // It slows down first.
