@@ -437,7 +437,7 @@ impl Node<SimpleFrame> for Filtered {
 }
 
 #[test]
-fn a_node_gets_what_it_accepts() {
+fn node_receives_only_frames_that_it_accepts() {
     let world = world();
     let listener = world.listener();
     world.attach(Filtered(None));

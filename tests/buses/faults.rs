@@ -90,7 +90,7 @@ fn in_order() -> Vec<u16> {
 const LOST: FaultPlan = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
 
 #[test]
-fn what_is_certain_strikes_all_in_its_direction() {
+fn certain_fault_strikes_every_frame_in_its_direction_only() {
     for (plan, expected) in [
         (FaultPlan::NONE, in_order()),
         (LOST, vec![]),
@@ -182,7 +182,7 @@ fn undetected_corruption_flips_one_data_bit() {
 }
 
 #[test]
-fn some_arrive_twice() {
+fn some_frames_arrive_twice() {
     let some = FaultPlan { duplicate: 0.1, ..FaultPlan::NONE };
     let mut run = broadcast(1, Direction::ToPorts, some);
     let mut heard = numbers(&receive_all(&mut run.port));
@@ -209,7 +209,7 @@ fn delayed_frames_are_late_and_stay_in_order() {
 }
 
 #[test]
-fn some_arrive_after_the_next_one() {
+fn some_frames_arrive_after_the_next_one() {
     let some = FaultPlan { reorder: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, some);
     let mut heard = numbers(&run.listeners[0].frames());
@@ -358,7 +358,7 @@ fn a_node_that_joins_in_mid_frame_does_not_hear_it() {
 }
 
 #[test]
-fn a_reset_tells_the_node_and_empties_its_controller() {
+fn reset_notifies_the_node_and_empties_its_controller() {
     let (world, _) = can();
     let node = Hand::listening();
     let station = world.put(&node);
@@ -428,7 +428,7 @@ fn a_slow_nodes_frames_wait_for_room_after_its_babble() {
 
 /// A call with an endless period is never made. A babble with an endless interval sends one frame.
 #[test]
-fn what_comes_after_the_end_of_time_does_not_come() {
+fn events_due_after_the_end_of_time_never_happen() {
     let (world, _) = can();
     let station = world.silent();
     let forever = Duration::from_micros(u64::MAX);

@@ -84,7 +84,7 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
 
 /// The fastest finds the error first, and the slowest signals it for longest, whatever their order.
 #[test]
-fn of_several_strangers_the_fastest_breaks_a_frame_and_the_slowest_ends_it() {
+fn fastest_of_several_strangers_breaks_a_frame_and_slowest_ends_it() {
     for strangers in [[FAST, SLOW / 2], [SLOW / 2, FAST]] {
         let (world, mut port, ..) = can(SLOW, strangers[0]);
         let second = world.silent();
@@ -102,7 +102,7 @@ fn of_several_strangers_the_fastest_breaks_a_frame_and_the_slowest_ends_it() {
 /// All other stations run at another rate. They break 15 of its frames. After that nobody signals an error and nobody
 /// acknowledges, so the sender becomes error-passive but not bus-off.
 #[test]
-fn a_sender_at_a_rate_of_its_own_is_heard_by_nobody() {
+fn sender_at_a_rate_of_its_own_is_not_heard_and_turns_error_passive() {
     let world = CanWorld::new(FAST, 1);
     let hands = [(); 2].map(|()| Hand::listening());
     let others = hands.each_ref().map(|hand| world.put(hand));

@@ -32,7 +32,7 @@ fn a_byte_arrives_with_its_stop_bit() {
 }
 
 #[test]
-fn a_frame_at_each_bit_rate_of_the_manual() {
+fn frame_lasts_130_bits_at_each_bit_rate_of_the_manual() {
     // 130 bits; the time in whole microseconds, rounded up: 1128.47, 260, 130, 86.67, 52.
     for (bit_rate, last_us) in
         [(115_200, 1129), (500_000, 260), (1_000_000, 130), (1_500_000, 87), (2_500_000, 52)]
@@ -74,7 +74,7 @@ fn a_port_hears_its_own_bytes_only_with_an_echo() {
 }
 
 #[test]
-fn what_strikes_an_echo_strikes_nothing_else() {
+fn fault_of_an_echo_strikes_nothing_else() {
     let lost = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
     let flipped = FaultPlan { corrupt: 1.0, ..FaultPlan::NONE };
     let late = late_by(Duration::from_micros(1_000));
@@ -167,7 +167,7 @@ fn a_station_that_switches_is_deaf() {
 }
 
 #[test]
-fn what_is_written_meanwhile_follows_without_a_gap() {
+fn bytes_written_while_sending_follow_without_a_gap() {
     let (world, mut port, listener) = line(1);
     port.write_all(&[1]).unwrap();
     world.run_until(micros(5));

@@ -16,7 +16,7 @@ fn coggy(mut p: MotorParameters) -> MotorParameters {
 /// Near a rest position cogging is a spring of 0.5 N·m * 120 = 60 N·m/rad. With 0.1 kg·m² that is 24.495 rad/s, half a
 /// period in 128.26 ms. (0.05 degrees are 6 degrees of its period, which make that 0.07 % longer.)
 #[test]
-fn a_rotor_swings_about_where_it_clings() {
+fn rotor_swings_about_its_cogging_rest_position() {
     let mut m = motor(coggy(ideal()));
     m.set_output_angle_deg(6.05).unwrap();
     m.advance(&OFF, Duration::from_micros(128_300));

@@ -29,16 +29,16 @@ fn a_hot_motor_gets_less_current_and_the_limit_is_reported() {
         });
         fleet.world.run_for(millis(100));
         let limit = |event| if let Event::Limited(limit) = event { Some(limit) } else { None };
-        let told: Vec<Limit> = happened(drive).into_iter().filter_map(limit).collect();
-        (state(drive).measurement.current_a, told)
+        let reported: Vec<Limit> = happened(drive).into_iter().filter_map(limit).collect();
+        (state(drive).measurement.current_a, reported)
     };
     fleet.master::<1>().ask(MotorId::MIN, go_to(9_000.0, 900)).unwrap();
     assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
     // 30 of 40 degrees are left. Below 90 °C of the motor and 85 °C of the output stage there is no error.
     assert_eq!(gives(90.0, 25.0), (0.75 * 43.8, vec![Limit::Temperature]));
     // 20 of 30 degrees are left.
-    let (current_a, told) = gives(90.0, 80.0);
+    let (current_a, reported) = gives(90.0, 80.0);
     assert!((current_a - 43.8 * 2.0 / 3.0).abs() < 1e-4, "{current_a}");
-    assert_eq!(told, []);
+    assert_eq!(reported, []);
     assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
 }

@@ -64,16 +64,16 @@ fn looking_changes_nothing() {
 /// Each motor of a fleet has noise of its own, which is the same in each run.
 #[test]
 fn a_fleets_seed_is_its_noise() {
-    let told = |seed| {
+    let reported = |seed| {
         let mut model = MotorParameters::named("RMD-X8-P20-120").unwrap();
         model.encoder.noise_pulses = 50.0;
         let fleet = Fleet::new(2).model(model).seed(seed).on_can(1_000_000).unwrap();
         let mut master = fleet.master::<2>();
         [1, 2].map(|id| master.ask(MotorId::new(id).unwrap(), ReadMultiTurnEncoderRaw).unwrap())
     };
-    assert_eq!(told(1), told(1));
-    assert_ne!(told(1), told(2));
-    assert_ne!(told(1)[0], told(1)[1]);
+    assert_eq!(reported(1), reported(1));
+    assert_ne!(reported(1), reported(2));
+    assert_ne!(reported(1)[0], reported(1)[1]);
 }
 
 /// A degree of play, with the motor held by its brake. The output's encoder of 10 bits reads half a degree to either

@@ -64,8 +64,8 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
     master.ask(MOTOR, CommunicationLossProtection { timeout }).unwrap();
 
     // The first after 0.1 s, then one a second.
-    let told = listen(&mut master, millis(10_150));
-    assert_eq!(told, [Event::LostMaster { motor: MOTOR }; 11]);
+    let heard = listen(&mut master, millis(10_150));
+    assert_eq!(heard, [Event::LostMaster { motor: MOTOR }; 11]);
 
     // The master repeats a harmless command on its own. The caller does not notice.
     happened(drive);
@@ -183,11 +183,11 @@ fn errors_are_reported_while_they_last<W: Wire>() {
     assert_eq!(listen(&mut master, millis(500)), []);
 
     // The first report comes at once, before the reply to this command.
-    let mut told = Vec::new();
-    master.ask_with(MOTOR, switch(true), None, |event| told.push(event)).unwrap();
-    told.extend(listen(&mut master, millis(950)));
-    assert_eq!(told.len(), 10, "{told:?}");
-    for event in told {
+    let mut heard = Vec::new();
+    master.ask_with(MOTOR, switch(true), None, |event| heard.push(event)).unwrap();
+    heard.extend(listen(&mut master, millis(950)));
+    assert_eq!(heard.len(), 10, "{heard:?}");
+    for event in heard {
         match event {
             Event::Report { motor: MOTOR, reply: AnyReply::ReadStatus1(status) } => {
                 assert_eq!(status.errors, ErrorFlags::OVER_VOLTAGE);

@@ -86,7 +86,7 @@ fn an_arm_falls_when_its_motor_is_shut_down_unless_a_brake_holds_it() {
 
 /// While the drive holds, its load changes and a hand pushes. It gives way and comes back.
 #[test]
-fn a_drive_holds_what_is_put_on_while_it_runs() {
+fn drive_holds_a_load_that_changes_while_it_runs() {
     for model in models() {
         let fleet = holding(&model, 0.2, false);
         let drive = &fleet.drives[0];
@@ -111,14 +111,14 @@ fn a_drive_holds_what_is_put_on_while_it_runs() {
 /// Each motor has a start angle and a load of its own: one motor's arm starts upright and falls, its neighbour's shaft
 /// is bare and stays.
 #[test]
-fn a_fleet_starts_with_its_loads_where_they_are() {
+fn motors_of_a_fleet_start_at_their_angle_with_their_own_load() {
     let model = MotorParameters::named("RMD-X8-PRO").unwrap();
     let fleet = Fleet::new(2).start_angle_deg(120.0).load_of(id(2), arm(&model, 0.5));
     let fleet = fleet.on_can(1_000_000).unwrap();
     let mut master = fleet.master::<2>();
     for motor in [id(1), id(2)] {
-        let told = master.ask(motor, ReadMultiTurnAngle).unwrap().angle.degrees();
-        assert!((told - 120.0).abs() < 0.5, "{motor}: {told}");
+        let reported = master.ask(motor, ReadMultiTurnAngle).unwrap().angle.degrees();
+        assert!((reported - 120.0).abs() < 0.5, "{motor}: {reported}");
     }
     fleet.world.run_for(Duration::from_secs(20));
     assert!((angle_deg(&fleet.drives[0]) - 120.0).abs() < 1e-9);

@@ -183,7 +183,7 @@ fn a_drive_is_led_by_one_until_that_has_failed() {
 
 /// The arm falls like one that was never led, and can be led again.
 #[test]
-fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
+fn shafts_handed_back_by_mechanics_move_as_if_never_led() {
     let load = Load {
         inertia_kg_m2: 0.1,
         arm: Some(Arm { mass_kg: 4.0, length_m: 0.5, down_deg: 0.0 }),
@@ -243,8 +243,8 @@ fn shafts_beyond_an_end_stop_are_not_handed_back() {
     let second = fleet.lead(&fleet.drives[1..], PERIOD, Moving(put)).unwrap();
     fleet.world.run_for(millis(2));
     assert_eq!(angles_deg(&fleet), [0.0, 140.0]);
-    let told = second.hand_back().unwrap_err().to_string();
-    assert!(told.ends_with(" deg, but 140 deg was given"), "{told}");
+    let message = second.hand_back().unwrap_err().to_string();
+    assert!(message.ends_with(" deg, but 140 deg was given"), "{message}");
     let is_led = |place: usize| fleet.drives[place].with(|it| it.plant().is_led());
     // Shafts that other mechanics lead do not hinder this.
     first.hand_back().unwrap();
@@ -291,8 +291,8 @@ fn a_led_shaft_turns_on_while_its_drive_has_no_power() {
     fleet.world.run_for(millis(900));
     let [angle, _] = angles_deg(&fleet);
     assert!((angle - 100.0).abs() < 0.2, "{angle}");
-    let told = fleet.master::<1>().ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
-    assert!((told - 100.0).abs() < 0.5, "{told}");
+    let message = fleet.master::<1>().ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
+    assert!((message - 100.0).abs() < 0.5, "{message}");
     assert_eq!(fleet.mechanics_failure(), None);
 }
 

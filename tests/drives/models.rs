@@ -163,11 +163,15 @@ fn the_back_drive_torque_is_met() {
 /// With an encoder on the output shaft a drive knows its position after a start. Without one it knows the position only
 /// within a turn of the motor shaft. That is 40 degrees of an RMD-X8-PRO's output, so 30 degrees are -10.
 #[test]
-fn one_encoder_knows_the_turn_of_the_motor_only() {
+fn drive_with_one_encoder_knows_its_position_within_a_motor_turn() {
     for (name, expected_deg) in [("RMD-X6-P20-60", 30.0), ("RMD-X8-PRO", -10.0)] {
         let model = MotorParameters::named(name).unwrap();
         let fleet = Fleet::new(1).model(model).start_angle_deg(30.0).on_can(1_000_000).unwrap();
-        let told = fleet.master::<1>().ask(MotorId::MIN, ReadMultiTurnAngle).unwrap();
-        assert!((told.angle.degrees() - expected_deg).abs() < 0.02, "{name}: {}", told.angle);
+        let reported = fleet.master::<1>().ask(MotorId::MIN, ReadMultiTurnAngle).unwrap();
+        assert!(
+            (reported.angle.degrees() - expected_deg).abs() < 0.02,
+            "{name}: {}",
+            reported.angle
+        );
     }
 }

@@ -63,7 +63,7 @@ fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
     close(found_s, TAU / 20.0, 1e-6);
 }
 
-/// It pulls to its rest angle. The friction of the shaft decides where it ends: within τ/k of that.
+/// The spring pulls to its rest angle. The friction of the shaft decides where it ends: within τ/k of that.
 #[test]
 fn a_spring_pulls_to_its_angle() {
     let spring = Spring { rest_deg: -400.0, stiffness_nm_per_rad: 20.0 };
@@ -215,7 +215,7 @@ fn a_stop_throws_back() {
 /// for ever where the stop holds its weight: between τ/k and τ/(e² k). That takes the time of all its jumps, each the
 /// share e of the one before: 2ω/α (1 + e + e² + ...).
 #[test]
-fn what_falls_on_a_stop_comes_to_rest() {
+fn arm_that_falls_on_an_end_stop_comes_to_rest() {
     for (restitution, stiffness) in [(0.0, 2e4), (0.3, 2e4), (0.3, 1e6), (0.7, 1e5), (0.9, 1e5)] {
         let arm = Arm { down_deg: 90.0, ..ARM };
         let mut m = loaded(ideal(), Load { arm: Some(arm), ..ended(0.0, stiffness, restitution) });

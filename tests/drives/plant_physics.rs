@@ -365,10 +365,10 @@ fn a_brake_resistor_burns_what_is_fed_back() {
     // Below the supply's own voltage it would be on for ever.
     let always = BrakeResistor { on_above_v: 45.0, off_below_v: 44.0, ..brake };
     let refused = Supply { brake_resistor: Some(always), ..supply };
-    let told = motor(ideal()).set_supply(refused).unwrap_err().to_string();
+    let message = motor(ideal()).set_supply(refused).unwrap_err().to_string();
     let expected =
         "voltage at which the brake resistor goes on must be 48 to 1000 V, but 45 V was given";
-    assert_eq!(told, expected);
+    assert_eq!(message, expected);
 }
 
 /// With a supply that is far too weak the voltage collapses. It never becomes negative, and all values stay finite.

@@ -147,7 +147,7 @@ fn turns_lost() {
         bench.restart();
         bench.turn_to(390.0);
         bench.restart();
-        assert_eq!(bench.told_angle(), angle);
+        assert_eq!(bench.reported_angle(), angle);
     }
 }
 
@@ -216,14 +216,14 @@ fn brake_told_by_motion() {
     let (lock, release) = (BrakeCommand::LOCK, BrakeCommand::RELEASE);
     for (brake_told_by_motion, idle) in [(true, lock), (false, release)] {
         let mut bench = with(Quirks { brake_told_by_motion, ..Quirks::default() });
-        let told = |bench: &mut Bench| bench.ask(ReadStatus1).brake;
-        assert_eq!(told(&mut bench), lock);
+        let reported = |bench: &mut Bench| bench.ask(ReadStatus1).brake;
+        assert_eq!(reported(&mut bench), lock);
         bench.write(ReleaseBrake);
-        assert_eq!((told(&mut bench), bench.state().brake), (idle, release));
+        assert_eq!((reported(&mut bench), bench.state().brake), (idle, release));
         bench.ask(turn(10.0));
-        assert_eq!(told(&mut bench), release);
+        assert_eq!(reported(&mut bench), release);
         bench.write(Shutdown);
-        assert_eq!((told(&mut bench), bench.state().brake), (idle, release));
+        assert_eq!((reported(&mut bench), bench.state().brake), (idle, release));
     }
 }
 

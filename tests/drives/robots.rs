@@ -59,8 +59,8 @@ fn each_motor_carries_its_load_from_where_it_starts() {
     assert_eq!(angles_deg(&arm), [150.0; 3]);
     let mut master = arm.master::<3>();
     for motor in [9, 4, 5] {
-        let told = master.ask(id(motor), ReadMultiTurnAngle).unwrap().angle.degrees();
-        assert!((told - 150.0).abs() < 0.5, "{motor}: {told}");
+        let reported = master.ask(id(motor), ReadMultiTurnAngle).unwrap().angle.degrees();
+        assert!((reported - 150.0).abs() < 0.5, "{motor}: {reported}");
     }
     arm.world.run_for(Duration::from_secs(20));
     let [falls, held, pulled] = angles_deg(&arm)[..] else { panic!() };

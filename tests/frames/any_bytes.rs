@@ -307,7 +307,7 @@ fn every_identifier_takes_every_first_byte() {
 }
 
 #[test]
-fn short_remote_and_extended_frames_are_told_apart() {
+fn short_remote_and_extended_frames_are_distinguished() {
     for identifier in 0..=0x7FF {
         let id = standard(identifier);
         for length in 0..=8 {

@@ -70,7 +70,7 @@ fn check(row: &Row, packet: &Packet) {
 }
 
 #[test]
-fn all_examples_are_there() {
+fn all_examples_of_the_manual_are_in_the_vectors() {
     let count = |bus| rows().iter().filter(|row| row.bus == bus).count();
     assert_eq!((count(Bus::Can), count(Bus::Rs485)), (101, 98));
     let motion = rows().into_iter().filter(|row| row.opcode == Opcode::Motion);

@@ -100,7 +100,7 @@ fn every_step_of_each_field_packs_and_unpacks() {
 /// 5.4 allows the ids 0 to 32 in DATA[0] of the reply on 0x501. In every layer the identifier decides which motor
 /// answers. The master has a unit test of it.
 #[test]
-fn who_answers_is_told_by_the_identifier() {
+fn identifier_of_a_motion_reply_decides_which_motor_answers() {
     for id_byte in [0, 1, 2, 33, 0xFF] {
         let data = [id_byte, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
         let frame = SimpleFrame::new(StandardId::new(0x501).expect("11 bits"), &data);
@@ -294,7 +294,7 @@ fn the_manuals_example_is_rounded_not_cut() {
 }
 
 #[test]
-fn what_is_no_number_or_beyond_the_scale_is_refused() {
+fn nan_and_values_beyond_the_scale_are_refused() {
     for scale in all_scales() {
         let below = if scale.min == 0.0 { -f32::MIN_POSITIVE } else { scale.min.next_down() };
         let beyond = [scale.max.next_up(), below, f32::MAX, f32::MIN];

@@ -194,7 +194,7 @@ fn only_the_protocols_addresses_and_length_make_a_frame() {
 }
 
 #[test]
-fn it_reports_what_was_wrong() {
+fn receiver_reports_the_fault_of_discarded_bytes() {
     let feed_all = |bytes: &[u8]| {
         let mut receiver = Receiver::new();
         bytes.iter().map(|&byte| receiver.feed(byte)).last()

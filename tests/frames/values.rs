@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{from_str, to_string};
 
 #[test]
-fn what_depends_on_another_field_is_refused_too() {
+fn out_of_range_values_that_depend_on_another_field_are_refused() {
     let refused = |opcode, data, given: f64| {
         let error = AnyCommand::decode_as(opcode, &data).expect_err("out of range");
         let reply = AnyReply::decode_as(opcode, &data).expect_err("out of range");
@@ -39,13 +39,13 @@ fn what_depends_on_another_field_is_refused_too() {
     refused(Opcode::BusId, [0x79, 0, 2, 0, 0, 0, 0, 1], 2.0);
     // 4.3 and 7.3: neither a reply identifier nor a bare id.
     for (low, high) in [(0, 0), (0x40, 2), (0x61, 2), (0x41, 1), (33, 0), (0, 33), (1, 1)] {
-        let told = AnyReply::decode_as(Opcode::BusId, &[0x79, 0, 1, 0, 0, 0, low, high]);
-        assert_eq!(told, Err(DecodeError::NotABusId(u16::from_le_bytes([low, high]))));
+        let decoded = AnyReply::decode_as(Opcode::BusId, &[0x79, 0, 1, 0, 0, 0, low, high]);
+        assert_eq!(decoded, Err(DecodeError::NotABusId(u16::from_le_bytes([low, high]))));
     }
 }
 
 #[test]
-fn a_function_without_a_name_is_none_with_a_name() {
+fn named_functions_are_never_represented_as_other() {
     for index in 0..=255 {
         let is_named = (1..=7).contains(&index);
         for value in [0, 1, 2, 32, 33, 0x8182_8384] {

@@ -48,7 +48,7 @@ fn replies_come_on_their_channels() {
 
 /// 1.1.2: a command at another drive's identifier changes nothing, nor does another drive's reply.
 #[test]
-fn what_is_for_others_is_not_heard() {
+fn frames_for_other_drives_are_ignored() {
     let mut bench = Bench::default();
     for channel in [
         Channel::Command(Target::Motor(id(2))),
@@ -78,14 +78,14 @@ fn a_command_to_all_is_obeyed_and_answered_by_each() {
 /// 4.4, 7.4: 0x79 reads the id (on CAN as a reply identifier, on RS485 bare) and sets it.
 #[test]
 fn the_bus_id_is_read_and_set() {
-    for (bus, told) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
+    for (bus, reported) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
         let mut bench = Bench::new(Parameters { bus, ..Parameters::default() });
         assert_eq!(bench.send(BusId::Write(id(2))), Some(BusId::Write(id(2)).encode()));
         let before = bench.exchange(Channel::BusId, BusId::Read.encode())[0].data;
         assert_eq!(BusId::decode_reply(&before).unwrap().id(), ID, "not before a restart");
         bench.restart();
         let replies = bench.exchange(Channel::BusId, BusId::Read.encode());
-        let data = [0x79, 0, 1, 0, 0, 0, told[0], told[1]];
+        let data = [0x79, 0, 1, 0, 0, 0, reported[0], reported[1]];
         assert_eq!(replies, [Packet { channel: Channel::BusId, data }]);
         let line = rs485::Frame::from_packet(&replies[0]).unwrap();
         assert_eq!(line.address, Target::All);
@@ -160,7 +160,7 @@ fn a_command_to_all_is_one_to_each() {
 
 /// 2.1.4, 2.4.4, 2.22.1, 2.34.2, 2.35.4, 4.1: a value that the manual does not name has neither effect nor answer.
 #[test]
-fn what_the_manual_does_not_name_has_no_answer() {
+fn values_that_the_manual_does_not_name_have_no_effect_or_reply() {
     let mut bench = Bench::default();
     let before = *bench.drive.stored_settings();
     let unnamed: [(u8, &[u8]); 7] = [

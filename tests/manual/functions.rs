@@ -16,13 +16,13 @@ fn function_1_clears_the_turns_after_a_restart() {
     bench.restart();
     bench.turn_to(3.0 * 360.0 + 30.0);
     bench.write(FunctionControl::ClearMultiTurn);
-    assert_eq!(bench.told_angle(), 1_110.0);
+    assert_eq!(bench.reported_angle(), 1_110.0);
     bench.restart();
-    assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.reported_angle(), 0.0);
     assert_eq!(bench.ask(ReadMultiTurnEncoderRaw).raw.raw(), TURN / 12);
     bench.turn_to(5.0 * 360.0 + 30.0);
     bench.power_cycle();
-    assert_eq!(bench.told_angle(), 720.0);
+    assert_eq!(bench.reported_angle(), 720.0);
 }
 
 /// 2.35.4, function 2: 0x280 reaches a drive only while its id filter is off. The setting is kept after power-off.
@@ -57,9 +57,9 @@ fn function_4_saves_the_turns() {
         }
         bench.turn_to(1_110.0);
         bench.power_cycle();
-        assert_eq!(bench.told_angle(), kept);
+        assert_eq!(bench.reported_angle(), kept);
         bench.restart();
-        assert_eq!(bench.told_angle(), kept);
+        assert_eq!(bench.reported_angle(), kept);
     }
 }
 

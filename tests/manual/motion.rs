@@ -177,7 +177,7 @@ fn an_absolute_position_is_planned() {
 
 /// 2.4.4: the deceleration has a value of its own. If that is 0, the acceleration serves for both.
 #[test]
-fn a_deceleration_of_zero_is_the_accelerations() {
+fn zero_deceleration_takes_the_value_of_the_acceleration() {
     for (deceleration, speed_near_the_end) in [(0, 200.0), (500, 141.0)] {
         let mut bench = Bench::default();
         plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 1_000);
@@ -217,7 +217,7 @@ fn acceleration_zero_tracks_directly() {
 
 /// 2.22.1: 0xA6 turns clockwise (0) or counter-clockwise (1) to an angle within a turn.
 #[test]
-fn a_single_turn_position_turns_as_told() {
+fn single_turn_position_turns_in_the_given_direction() {
     for (direction, end) in [(Direction::CLOCKWISE, 270.0), (Direction::COUNTER_CLOCKWISE, -90.0)] {
         let mut bench = Bench::default();
         // The same command again is a command to stay.
@@ -277,7 +277,7 @@ fn a_force_position_limits_its_torque() {
 /// 2.25.3 names three modes, each a loop. 2.17.1: 0x80 "clears the running state". No loop runs after it, before the
 /// first command, or after an error.
 #[test]
-fn in_no_mode_0x70_tells_0() {
+fn running_mode_is_0_while_no_loop_runs() {
     let none = Mode::from_raw(0);
     let mut bench = Bench::default();
     assert_eq!(bench.ask(ReadRunningMode).mode, none);

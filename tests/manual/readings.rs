@@ -12,14 +12,14 @@ use super::commands::{TURN, within_a_turn};
 
 /// 2.11.3: single-turn encoder position, raw position and offset.
 #[test]
-fn the_single_turn_encoder_tells_all_three() {
+fn single_turn_encoder_reads_position_raw_position_and_offset() {
     let mut bench = Bench::default();
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(9_355) });
     bench.restart();
     bench.turn_to(f64::from(16_384 + 11_454) * 360.0 / f64::from(TURN));
     let reading = bench.ask(ReadSingleTurnEncoder);
-    let told = [reading.position, reading.raw, reading.offset].map(SingleTurnPulses::raw);
-    assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
+    let reported = [reading.position, reading.raw, reading.offset].map(SingleTurnPulses::raw);
+    assert_eq!(reported, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
 }
 
 /// 2.12.3: the angle counts turns, in 0.01 degrees. 2.13.3: within a turn it grows clockwise and begins anew. 2.15.3:
@@ -41,15 +41,15 @@ fn the_angle_counts_turns_and_feedback_saturates() {
         assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
         let pulses = (angle * f64::from(TURN) / 360.0).round() as i32;
         assert_eq!(bench.ask(ReadMultiTurnEncoder).position.raw(), pulses);
-        let told = bench.ask(ReadSingleTurnAngle).angle.raw();
-        assert!(told.abs_diff(within_a_turn) <= 1, "{angle}: {told}");
+        let reported = bench.ask(ReadSingleTurnAngle).angle.raw();
+        assert!(reported.abs_diff(within_a_turn) <= 1, "{angle}: {reported}");
         assert_eq!(bench.feedback().angle.raw(), coarse);
     }
 }
 
 /// 2.14.3, 2.16.3: temperatures, brake command, voltage, errors and phase currents are what is measured.
 #[test]
-fn status_tells_what_is_measured() {
+fn status_reports_the_measured_values() {
     let mut bench = Bench::with_brake();
     let sensors = &mut bench.drive.plant_mut().sensors;
     sensors.motor_temperature_c = 50.0;
@@ -74,7 +74,7 @@ fn status_tells_what_is_measured() {
 
 /// 2.29.3: run time in ms since the start. 2.30, 2.33: version date and model are those of the drive.
 #[test]
-fn system_reads_tell_what_the_drive_is() {
+fn run_time_version_date_and_model_are_those_of_the_drive() {
     let mut bench = Bench::new(Parameters {
         version_date: VersionDate::from_raw(20_220_206),
         ..Parameters::default()
@@ -100,15 +100,15 @@ fn feedback_is_that_of_the_examples() {
                 continue;
             }
             let mut bench = turning(sign as f32, 45.0 * sign);
-            let [opcode, told @ ..] = bench.send(command).unwrap();
-            assert_eq!((opcode, told), (byte, rest), "{byte:#X}");
+            let [opcode, reported @ ..] = bench.send(command).unwrap();
+            assert_eq!((opcode, reported), (byte, rest), "{byte:#X}");
         }
         // 2.22.4: 1000 pulses beyond the motor shaft's zero, instead of the angle.
         let mut bench = turning(sign as f32, 1_000.0 * 360.0 / f64::from(TURN));
         let to = within_a_turn(Direction::CLOCKWISE, 360.0);
-        let told = bench.send(to).unwrap();
-        assert_eq!((told[0], &told[1..6]), (0xA6, &rest[..5]));
-        assert_eq!(told[6..], [0xE8, 0x03]);
+        let reported = bench.send(to).unwrap();
+        assert_eq!((reported[0], &reported[1..6]), (0xA6, &rest[..5]));
+        assert_eq!(reported[6..], [0xE8, 0x03]);
     }
 }
 

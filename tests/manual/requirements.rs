@@ -139,7 +139,7 @@ fn ids_are_unique_and_grow() {
 }
 
 #[test]
-fn none_is_without_a_test_unless_it_says_why() {
+fn every_requirement_names_a_test_or_says_why_not() {
     for of in List::read().requirements {
         let why = "needs \"  - test: \" or \"  - untested: \"";
         assert!(!of.tests.is_empty() || of.untested.is_some(), "{of:?} {why}");
@@ -170,7 +170,7 @@ fn source(test: &str) -> Option<PathBuf> {
 
 /// `.ci/manual` would pass over such a name, and its test might never run.
 #[test]
-fn a_name_that_would_not_be_looked_up_is_refused() {
+fn test_name_that_ci_would_not_look_up_is_refused() {
     let mut list = List::default();
     list.words.insert("examples", vec!["manual::buses::one"]);
     for line in ["# 1 Buses", "- **1-1** drive: Hears."] {
@@ -215,7 +215,7 @@ fn each_word_for_tests_is_used() {
 
 /// Lines name headings of `drive::decisions`. Each must exist, and each heading must be named.
 #[test]
-fn each_named_decision_is_there() {
+fn named_decisions_and_headings_of_decisions_match() {
     let decisions = include_str!("../../protocol-core/src/drive/decisions.rs");
     let headings: BTreeSet<_> =
         decisions.lines().filter_map(|line| line.strip_prefix("//! # ")).collect();

@@ -115,10 +115,10 @@ fn an_acceleration_out_of_range_is_ignored() {
 fn position_is_raw_less_offset_after_a_restart() {
     let mut bench = Bench::default();
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(TURN / 4) });
-    assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.reported_angle(), 0.0);
     assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), 0);
     bench.restart();
-    assert_eq!(bench.told_angle(), -90.0);
+    assert_eq!(bench.reported_angle(), -90.0);
     bench.turn_to(180.0);
     assert_eq!(bench.ask(ReadMultiTurnEncoderRaw).raw.raw(), TURN / 2);
     assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), TURN / 4);
@@ -131,16 +131,16 @@ fn the_current_position_becomes_the_zero_after_a_reset() {
     let mut bench = Bench::default();
     bench.turn_to(90.0);
     assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN / 4);
-    assert_eq!(bench.told_angle(), 90.0);
+    assert_eq!(bench.reported_angle(), 90.0);
     bench.restart();
-    assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.reported_angle(), 0.0);
     bench.power_cycle();
-    assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.reported_angle(), 0.0);
     // A second time, when the zero is no longer the encoder's.
     bench.turn_to(135.0);
     assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN * 3 / 8);
     bench.restart();
-    assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.reported_angle(), 0.0);
 }
 
 /// 2.9.1: 0x63 writes the zero to ROM. 2.9.1, 2.10.1: targets count from the new zero.
@@ -155,9 +155,9 @@ fn a_zero_is_kept_and_targets_count_from_it() {
         }
         bench.power_cycle();
         assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), TURN / 4);
-        assert_eq!(bench.told_angle(), 0.0);
+        assert_eq!(bench.reported_angle(), 0.0);
         bench.go(go_to(45.0, 500), millis(1_500));
-        assert!((bench.told_angle() - 45.0).abs() < 0.02, "{}", bench.told_angle());
+        assert!((bench.reported_angle() - 45.0).abs() < 0.02, "{}", bench.reported_angle());
         let shaft = bench.drive.plant().angle_deg();
         assert!((shaft - 135.0).abs() < 0.02, "{shaft}");
     }
@@ -166,7 +166,7 @@ fn a_zero_is_kept_and_targets_count_from_it() {
 /// 2.2.1, 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They do not forbid
 /// it, so it works.
 #[test]
-fn what_is_written_while_the_motor_moves_is_kept() {
+fn settings_written_while_the_motor_moves_are_kept() {
     let mut bench = Bench::default();
     bench.go(turn(90.0), millis(500));
     bench.write(WritePidRam { index: PidIndex::SPEED_KI, value: gain(0.5) });

@@ -31,7 +31,7 @@ fn a_reset_starts_anew() {
 
 /// 2.27, 2.28: 0x77 lets the shaft go, 0x78 locks it, and without power it is locked.
 #[test]
-fn the_brake_holds_and_lets_go() {
+fn brake_releases_locks_and_is_locked_without_power() {
     let mut bench = Bench::with_brake();
     bench.drive.plant_mut().load_nm = 1.0;
     bench.run(millis(100));
@@ -176,7 +176,7 @@ fn active_replies_take_turns() {
 /// 2.19.1 asks for 0x77 before torque only. Speed and position commands open the brake on their own, and 0x80 locks it
 /// again. If 0x77 has opened the brake, 0x80 leaves it open.
 #[test]
-fn what_opened_the_brake_decides_whether_0x80_locks_it() {
+fn shutdown_locks_the_brake_unless_0x77_opened_it() {
     let commands: [AnyCommand; 5] = [
         turn(90.0).into(),
         go_to(90.0, 500).into(),

@@ -149,7 +149,7 @@ impl Truth {
         let (is_stop, now, longest) = (self.is_stop(packet), self.now, self.longest_response);
         let was_due = self.is_first_stop_due();
         if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
-            self.what_all_were_told_is_back(name);
+            self.command_to_all_is_handed_back(name);
         }
         let (motors, is_own): (Vec<MotorId>, bool) = match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => (vec![motor], true),

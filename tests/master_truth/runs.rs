@@ -121,7 +121,7 @@ fn once<W: Rough>(seed: u64) {
 }
 
 #[test]
-fn what_once_broke() {
+fn seeds_that_once_failed_pass() {
     // A clock jumps. Then a motor is first heard whose answers all looked like echoes before. Its silence is reported
     // once more.
     once::<Rs485Line>(3573);
@@ -136,7 +136,7 @@ fn as_drawn<W: Rough>(seed: u64) {
 }
 
 #[test]
-fn what_broke_later() {
+fn seeds_that_failed_later_pass() {
     // Two motors with one id answer each other every millisecond, and the clock has steps of a millisecond. The line
     // never seems free. Nothing may wait longer than its bound nevertheless.
     as_drawn::<Rs485Line>(300_309);

@@ -150,7 +150,7 @@ impl Truth {
     }
 
     /// The port has held an offered packet until now, or no caller has looked.
-    pub(crate) fn nobody_could_offer(&mut self) {
+    pub(crate) fn no_offer_was_possible(&mut self) {
         self.offers.since = self.world;
     }
 

@@ -104,7 +104,7 @@ impl Truth {
     }
 
     /// The controller has handed it back. It is sent once more, or each motor gets its own.
-    pub(super) fn what_all_were_told_is_back(&mut self, name: Name) {
+    pub(super) fn command_to_all_is_handed_back(&mut self, name: Name) {
         let Some(it) = self.to_all.as_mut().filter(|it| it.name == name) else { return };
         it.taken -= 1;
         // Nothing has happened yet that may drop it.
@@ -120,7 +120,7 @@ impl Truth {
     }
 
     /// The command may have been dropped, if it is pending.
-    pub(super) fn what_all_were_told_may_be_dropped(&mut self) {
+    pub(super) fn command_to_all_may_be_dropped(&mut self) {
         if let Some(it) = &mut self.to_all {
             it.may_be_dropped |= it.taken == 0;
         }

@@ -376,7 +376,7 @@ impl Truth {
     /// The port has failed or refused. Pending commands may be dropped.
     pub(crate) fn port_has_failed(&mut self) {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
-        self.what_all_were_told_may_be_dropped();
+        self.command_to_all_may_be_dropped();
         self.failures += 1;
         self.doubt.port_has_failed();
     }

@@ -26,36 +26,36 @@ use myactuator_tests::values::{id, millis, push, turn};
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
-    a_scan_finds_the_motors_that_are_there
-    a_motor_that_is_being_asked_is_not_there_before_it_answers
-    a_motor_tells_what_it_is
-    a_newer_motor_has_no_model_to_tell
+    scan_finds_the_motors_and_frees_the_places_of_other_ids
+    motor_with_a_request_in_flight_is_not_found_before_it_answers
+    identify_reads_model_status_and_run_time
+    identify_of_a_v4_4_motor_returns_no_model
     a_motor_is_waited_for_after_its_power_was_cycled
     a_zero_is_kept_over_a_power_cycle
     a_zero_is_kept_by_a_drive_that_writes_slowly
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
-    a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to
+    refused_write_to_a_stopped_motor_leaves_it_holding
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
     an_id_that_two_motors_have_is_not_changed
-    a_motor_that_answers_late_is_one_motor
-    a_motor_that_reports_its_errors_is_one_motor
-    two_motors_that_report_their_errors_are_two
-    the_only_motor_gets_its_new_id_for_good
-    a_brake_is_open_before_torque_comes
-    a_brake_opens_under_a_protection_that_is_shorter
+    motor_that_answers_late_is_not_taken_for_two
+    motor_that_reports_its_errors_is_not_taken_for_two
+    two_motors_of_one_id_that_report_errors_are_recognised
+    only_motor_keeps_its_new_id_over_a_power_cycle
+    brake_is_open_when_its_release_returns
+    brake_opens_under_a_short_protection
     a_brake_opens_though_its_drive_had_lost_its_master
-    no_brake_is_opened_if_its_motor_cannot_hold
-    a_load_stays_where_it_is
+    brake_of_a_motor_with_an_error_is_not_opened
+    load_does_not_sink_while_its_brake_opens_and_locks
     a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake
-    what_a_brake_does_not_hold_its_motor_holds_again
+    motor_holds_its_load_again_when_its_brake_slips
     a_slipping_brake_that_may_not_be_opened_is_reported
     a_brake_that_slips_only_when_the_motor_is_off_is_reported
-    what_falls_is_caught_by_its_brake_alone
-    what_a_motor_holds_its_brake_holds_while_it_is_switched_off
+    lock_brake_catches_a_falling_load
+    brake_holds_the_load_while_its_motor_is_switched_off
     no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported
-    a_protected_motor_stops_when_nobody_speaks
-    a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
+    protected_motor_stops_when_it_hears_no_commands
+    restart_that_the_drive_missed_is_sent_again
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
     a_motor_that_falls_silent_after_a_write_may_have_kept_it
@@ -70,22 +70,22 @@ fn read_angle<R: Runner<8, Error: Debug>>(runner: &mut R) -> f32 {
     runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees()
 }
 
-fn a_scan_finds_the_motors_that_are_there<W: Wire>() {
+fn scan_finds_the_motors_and_frees_the_places_of_other_ids<W: Wire>() {
     let bus = W::drives(&Fleet::new(5)).unwrap();
     let runner = &mut master(&bus);
-    let mut told = Vec::new();
-    let found = bring_up::scan(runner, MotorSet::ALL, |motor, there| told.push((motor, there)));
+    let mut returned = Vec::new();
+    let found = bring_up::scan(runner, MotorSet::ALL, |motor, there| returned.push((motor, there)));
     assert_eq!(found, Ok(ids(1..=5)));
-    told.sort_unstable();
+    returned.sort_unstable();
     let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
-    assert_eq!(told, expected, "each is reported once");
+    assert_eq!(returned, expected, "each is reported once");
     // They keep their places, so that a stop of all reaches them. The places of ids without a motor are free again.
     assert_eq!(runner.master().motors(), ids(1..=5));
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
     assert_eq!(runner.master().motors(), ids(1..=5));
 }
 
-fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
+fn motor_with_a_request_in_flight_is_not_found_before_it_answers<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     // Requests to both are in flight already. Only motor 1 is there to answer.
@@ -96,7 +96,7 @@ fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
 }
 
 #[test]
-fn nobody_is_found_on_a_can_bus_that_carries_nothing() {
+fn scan_of_a_dead_can_bus_fails_and_can_be_repeated() {
     let bus = Fleet::new(1).on_can(1_000_000).unwrap();
     bus.world.cut(bus.drives[0].station());
     let runner = &mut bus.master::<8>();
@@ -116,7 +116,7 @@ fn nobody_is_found_on_a_can_bus_that_carries_nothing() {
     assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([1])));
 }
 
-fn a_motor_tells_what_it_is<W: Wire>() {
+fn identify_reads_model_status_and_run_time<W: Wire>() {
     let bus = W::drives(&Fleet::new(2)).unwrap();
     let runner = &mut master(&bus);
     listen(runner, millis(300));
@@ -128,7 +128,7 @@ fn a_motor_tells_what_it_is<W: Wire>() {
     assert_eq!(nobody, CallError::Failed { motor: id(7), failure: Failure::NoReply });
 }
 
-fn a_newer_motor_has_no_model_to_tell<W: Wire>() {
+fn identify_of_a_v4_4_motor_returns_no_model<W: Wire>() {
     let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
     let ranges = MotionRanges::new(limits).unwrap();
     let fleet = Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges);
@@ -218,7 +218,7 @@ fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
     assert_eq!(bus.drives[1].with(|drive| drive.stored_settings().id), id(2));
 }
 
-fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
+fn refused_write_to_a_stopped_motor_leaves_it_holding<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     runner.ask(id(1), turn(50.0)).expect("it is there");
@@ -244,10 +244,10 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
     let zero = bring_up::zero_here(runner, id(1)).map(|_| ());
     let changed = bring_up::change_id(runner, id(1), id(9));
     for refused in [zero, changed] {
-        let told = refused.expect_err("it turns");
-        let BringUpError::Turns { motor, speed } = told else { panic!("{told}") };
-        assert!(motor == id(1) && (speed.dps() - 100.0).abs() < 5.0, "{told}");
-        assert_eq!(told.to_string(), format!("motor 1 turns at {speed}: stop it first"));
+        let returned = refused.expect_err("it turns");
+        let BringUpError::Turns { motor, speed } = returned else { panic!("{returned}") };
+        assert!(motor == id(1) && (speed.dps() - 100.0).abs() < 5.0, "{returned}");
+        assert_eq!(returned.to_string(), format!("motor 1 turns at {speed}: stop it first"));
         assert!(state(drive).output_on, "its shaft would run on");
     }
     assert_eq!(settings(), before, "nothing was written");
@@ -275,7 +275,7 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
     }
 }
 
-fn a_motor_that_answers_late_is_one_motor<W: Wire>() {
+fn motor_that_answers_late_is_not_taken_for_two<W: Wire>() {
     // Later than the master's time-out. Both attempts are answered after it.
     let late = millis(30);
     let bus = W::drives(&Fleet::new(1).response(late, late)).unwrap();
@@ -303,7 +303,7 @@ fn stalled<W: Wire>(motors: u8) -> BusFleet<W> {
     bus
 }
 
-fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
+fn motor_that_reports_its_errors_is_not_taken_for_two<W: Wire>() {
     let bus = stalled::<W>(1);
     // Whenever it is asked.
     for _ in 0..10 {
@@ -313,9 +313,9 @@ fn a_motor_that_reports_its_errors_is_one_motor<W: Wire>() {
     }
 }
 
-/// Each report of the motor looks like a second answer, until the reports end. The other master does not notice.
+/// Each report of the motor looks like a second answer, until this master ends the reports.
 #[test]
-fn a_motor_that_another_master_has_report_looks_like_two() {
+fn motor_that_reports_to_another_master_looks_like_two() {
     let bus = Fleet::new(1).on_can(1_000_000).unwrap();
     let report = |enable, runner: &mut <CanBus as Wire>::Runner<8>| {
         let command = ReportedCommand::of(Opcode::ReadStatus2).unwrap();
@@ -333,7 +333,7 @@ fn a_motor_that_another_master_has_report_looks_like_two() {
     assert_eq!(bring_up::is_shared(runner, id(1)), Err(CallError::refused(id(1))(reported)));
 }
 
-fn two_motors_that_report_their_errors_are_two<W: Wire>() {
+fn two_motors_of_one_id_that_report_errors_are_recognised<W: Wire>() {
     let bus = stalled::<W>(2);
     for _ in 0..10 {
         let runner = &mut master(&bus);
@@ -342,7 +342,7 @@ fn two_motors_that_report_their_errors_are_two<W: Wire>() {
     }
 }
 
-fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {
+fn only_motor_keeps_its_new_id_over_a_power_cycle<W: Wire>() {
     let slow = Quirks { slow_boot: true, silent_id_change: true, ..Quirks::default() };
     for quirks in [Quirks::default(), slow] {
         let bus = W::drives(&Fleet::new(1).quirks(quirks)).unwrap();
@@ -358,7 +358,7 @@ fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {
     }
 }
 
-fn a_brake_is_open_before_torque_comes<W: Wire>() {
+fn brake_is_open_when_its_release_returns<W: Wire>() {
     let slow = Quirks { slow_brake: true, ..Quirks::default() };
     let bus = W::drives(&Fleet::new(1).brakes(true).quirks(slow)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -376,7 +376,7 @@ fn a_brake_is_open_before_torque_comes<W: Wire>() {
     assert!(moved() > 0.01, "{}", moved());
 }
 
-fn a_brake_opens_under_a_protection_that_is_shorter<W: Wire>() {
+fn brake_opens_under_a_short_protection<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let runner = &mut master(&bus);
     let limit = Milliseconds::from_raw(100);
@@ -397,7 +397,7 @@ fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
 }
 
-fn no_brake_is_opened_if_its_motor_cannot_hold<W: Wire>() {
+fn brake_of_a_motor_with_an_error_is_not_opened<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -408,8 +408,8 @@ fn no_brake_is_opened_if_its_motor_cannot_hold<W: Wire>() {
     assert_eq!(state(drive).brake, BrakeCommand::LOCK);
 }
 
-/// Held by its motor, and then by its brake.
-fn a_load_stays_where_it_is<W: Wire>() {
+/// The motor holds the load, and then the brake does.
+fn load_does_not_sink_while_its_brake_opens_and_locks<W: Wire>() {
     let bus = lifting::<W>();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     let begun_deg = state(drive).angle_deg;
@@ -434,15 +434,15 @@ fn a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake<W: Wire>() {
     let load = Load { torque_nm: 60.0, ..Load::NONE };
     let bus = W::drives(&Fleet::new(1).brakes(true).load(load)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
-    let told = bring_up::release_brake(runner, id(1));
-    assert!(matches!(told, Err(BringUpError::NotHeld { .. })), "{told:?}");
+    let returned = bring_up::release_brake(runner, id(1));
+    assert!(matches!(returned, Err(BringUpError::NotHeld { .. })), "{returned:?}");
     listen(runner, bring_up::BRAKE_MOVES);
     let caught_deg = state(drive).angle_deg;
     listen(runner, millis(500));
-    assert!((state(drive).angle_deg - caught_deg).abs() < 0.1, "{told:?}");
+    assert!((state(drive).angle_deg - caught_deg).abs() < 0.1, "{returned:?}");
 }
 
-fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
+fn motor_holds_its_load_again_when_its_brake_slips<W: Wire>() {
     let bus = lifting::<W>();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
@@ -455,10 +455,10 @@ fn what_a_brake_does_not_hold_its_motor_holds_again<W: Wire>() {
         |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(9)),
         |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1)),
     ] {
-        let told = way(runner);
+        let returned = way(runner);
         assert!(
-            matches!(told, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
-            "{told:?}"
+            matches!(returned, Err(BringUpError::BrakeSlips { holds: Some(true), .. })),
+            "{returned:?}"
         );
         let held_deg = state(drive).angle_deg;
         listen(runner, millis(500));
@@ -474,9 +474,12 @@ fn a_slipping_brake_that_may_not_be_opened_is_reported<W: Wire>() {
     assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
     drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
     assert!(runner.stop(id(1), StopKind::Hold));
-    let told = bring_up::lock_brake(runner, id(1)).expect_err("its load falls");
-    assert!(matches!(told, BringUpError::BrakeSlips { holds: Some(false), .. }), "{told:?}");
-    assert!(!told.to_string().contains("holds"), "{told}");
+    let returned = bring_up::lock_brake(runner, id(1)).expect_err("its load falls");
+    assert!(
+        matches!(returned, BringUpError::BrakeSlips { holds: Some(false), .. }),
+        "{returned:?}"
+    );
+    assert!(!returned.to_string().contains("holds"), "{returned}");
 }
 
 /// The brake stays locked.
@@ -488,14 +491,14 @@ fn a_brake_that_slips_only_when_the_motor_is_off_is_reported<W: Wire>() {
         assert_eq!(bring_up::lock_brake(runner, id(1)), Ok(()));
         drive.with(|drive| drive.plant_mut().force_brake(slips.then_some(true)));
         assert!(runner.stop(id(1), StopKind::Off));
-        let told = bring_up::check_brake(runner, id(1));
-        let is_told = matches!(told, Err(BringUpError::BrakeSlips { holds: Some(false), .. }));
-        assert!(if slips { is_told } else { told.is_ok() }, "{told:?}");
+        let returned = bring_up::check_brake(runner, id(1));
+        let is_told = matches!(returned, Err(BringUpError::BrakeSlips { holds: Some(false), .. }));
+        assert!(if slips { is_told } else { returned.is_ok() }, "{returned:?}");
         assert!(!state(drive).output_on);
     }
 }
 
-fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {
+fn lock_brake_catches_a_falling_load<W: Wire>() {
     for fails in [false, true] {
         let bus = lifting::<W>();
         let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -512,7 +515,7 @@ fn what_falls_is_caught_by_its_brake_alone<W: Wire>() {
     }
 }
 
-fn what_a_motor_holds_its_brake_holds_while_it_is_switched_off<W: Wire>() {
+fn brake_holds_the_load_while_its_motor_is_switched_off<W: Wire>() {
     let ways = [
         |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(drop),
         |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1)),
@@ -541,12 +544,12 @@ fn no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported<W: Wire
         runner.ask(id(1), Stop).expect("it is there");
         listen(runner, millis(1_000));
         let (motor, says) = (id(1), BrakeCommand::RELEASE);
-        let told = Err(BringUpError::BrakeNotLocked { motor, says });
-        assert_eq!(bring_up::lock_brake(runner, id(1)), if has_brake { Ok(()) } else { told });
+        let returned = Err(BringUpError::BrakeNotLocked { motor, says });
+        assert_eq!(bring_up::lock_brake(runner, id(1)), if has_brake { Ok(()) } else { returned });
     }
 }
 
-fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
+fn protected_motor_stops_when_it_hears_no_commands<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     let limit = Milliseconds::from_raw(200);
@@ -609,7 +612,7 @@ fn with_first_restart_lost_by<W: Wire, T>(
 }
 
 /// The first 0x76 is lost, so the motor goes on and answers.
-fn a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one<W: Wire>() {
+fn restart_that_the_drive_missed_is_sent_again<W: Wire>() {
     let restart = |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1));
     // It is sent once more, which the drive hears.
     assert_eq!(with_first_restart_lost::<W, _>(restart), (Ok(()), 1));
@@ -617,22 +620,22 @@ fn a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one<W: Wire>() {
 
 fn a_new_id_is_taken_though_the_restart_was_lost_once<W: Wire>() {
     let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
-    let (told, restarts) = with_first_restart_lost::<W, _>(change);
-    assert!(told.is_ok() && restarts == 1, "{told:?} after {restarts} restarts");
+    let (returned, restarts) = with_first_restart_lost::<W, _>(change);
+    assert!(returned.is_ok() && restarts == 1, "{returned:?} after {restarts} restarts");
 }
 
 fn a_zero_is_kept_though_the_restart_was_lost_once<W: Wire>() {
     let zero = |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1));
-    let (told, restarts) = with_first_restart_lost::<W, _>(zero);
-    assert!(told.is_ok() && restarts == 1, "{told:?} after {restarts} restarts");
+    let (returned, restarts) = with_first_restart_lost::<W, _>(zero);
+    assert!(returned.is_ok() && restarts == 1, "{returned:?} after {restarts} restarts");
 }
 
 /// Firmware 2025070202: until it restarts, a drive hears the old id and answers under the new one.
 fn the_restart_of_a_drive_that_answers_as_its_new_id_is_sent_again<W: Wire>() {
     let quirks = Quirks { answers_as_new_id: true, slow_boot: true, ..Quirks::default() };
     let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
-    let (told, restarts) = with_first_restart_lost_by::<W, _>(quirks, 2_000, change);
-    assert!(told.is_ok(), "{told:?} after {restarts} restarts");
+    let (returned, restarts) = with_first_restart_lost_by::<W, _>(quirks, 2_000, change);
+    assert!(returned.is_ok(), "{returned:?} after {restarts} restarts");
 }
 
 fn a_motor_that_falls_silent_after_a_write_may_have_kept_it<W: Wire>() {
@@ -640,16 +643,19 @@ fn a_motor_that_falls_silent_after_a_write_may_have_kept_it<W: Wire>() {
     let (changed, _) = with_first_restart_lost_by::<W, _>(Quirks::default(), 60_000_000, change);
     let zero = |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(|_| ());
     let (zeroed, _) = with_first_restart_lost_by::<W, _>(Quirks::default(), 60_000_000, zero);
-    for told in [changed, zeroed] {
-        let told = told.unwrap_err().to_string();
-        assert!(told.starts_with("motor 1 may have its new zero or id in its ROM"), "{told}");
-        assert!(told.contains("no reply"), "{told}");
+    for returned in [changed, zeroed] {
+        let returned = returned.unwrap_err().to_string();
+        assert!(
+            returned.starts_with("motor 1 may have its new zero or id in its ROM"),
+            "{returned}"
+        );
+        assert!(returned.contains("no reply"), "{returned}");
     }
 }
 
 /// Moves are refused because the motor's turns may be lost. A restart that was never heard does not change that.
 #[test]
-fn a_restart_that_was_never_heard_lifts_nothing() {
+fn restart_that_was_never_heard_allows_no_moves() {
     let mut cuts: Vec<u64> = Vec::new();
     for _ in 0..4 {
         let faults = cuts
@@ -662,8 +668,8 @@ fn a_restart_that_was_never_heard_lifts_nothing() {
         assert!(runner.ask(id(1), ReadStatus1).is_ok());
         runner.master().note_restart(id(1));
         let log = bus.world.log();
-        let told = bring_up::restart(runner, id(1), id(1));
-        if told == Err(BringUpError::NotRestarted(id(1))) {
+        let returned = bring_up::restart(runner, id(1), id(1));
+        if returned == Err(BringUpError::NotRestarted(id(1))) {
             assert!(runner.master().has_restarted(id(1)));
             return;
         }

@@ -64,7 +64,7 @@ const EXCHANGE: Duration = Duration::from_micros(2 * 131 + 900 + 100);
 const SILENCE: Duration = Duration::from_micros(131 + 5_262 + 100);
 
 #[test]
-fn a_stop_of_all_reaches_every_living_motor_before_any_dead_one_is_waited_for() {
+fn stop_of_all_reaches_living_motors_before_any_dead_one_is_awaited() {
     // The exchange in flight ends, and then one stop goes to all.
     let bound = SILENCE + FRAME;
     for dead in [0, 8, 12] {

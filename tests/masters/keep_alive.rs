@@ -20,18 +20,18 @@ use myactuator_tests::values::{go_to, id, millis};
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
-    motors_are_released_and_locked_in_turn
-    one_is_restarted
-    one_gets_a_zero
-    one_gets_another_id
-    one_is_moved
-    all_ids_are_looked_for
-    one_that_is_not_there_is_waited_for
-    two_with_one_id_are_told_apart
-    two_of_them_are_dead
+    others_hold_while_a_brake_is_released_and_locked
+    others_hold_while_one_is_restarted
+    others_hold_while_one_gets_a_zero
+    others_hold_while_one_gets_another_id
+    others_hold_while_one_is_moved
+    others_hold_during_a_scan_of_all_ids
+    others_hold_while_an_absent_one_is_awaited
+    others_hold_during_a_check_for_a_shared_id
+    others_hold_while_two_of_them_are_dead
     a_bus_that_is_out_for_a_while
-    those_that_a_scan_has_found
-    a_motor_that_does_not_confirm_a_stop
+    motors_found_by_a_scan_hold_on
+    others_hold_while_one_does_not_confirm_a_stop
 }
 
 /// A restart takes ten times as long, and twice as long without an answer.
@@ -86,7 +86,7 @@ fn check_others_are_free<R: Runner<8>>(runner: &mut R) {
     }
 }
 
-fn motors_are_released_and_locked_in_turn<W: Wire>() {
+fn others_hold_while_a_brake_is_released_and_locked<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     check_others_hold(&bus);
     assert_eq!(bring_up::release_brake(&mut runner, id(1)), Ok(()));
@@ -95,25 +95,25 @@ fn motors_are_released_and_locked_in_turn<W: Wire>() {
     check_others_hold(&bus);
 }
 
-fn one_is_restarted<W: Wire>() {
+fn others_hold_while_one_is_restarted<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
     check_others_hold(&bus);
 }
 
-fn one_gets_a_zero<W: Wire>() {
+fn others_hold_while_one_gets_a_zero<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     bring_up::zero_here(&mut runner, id(1)).unwrap();
     check_others_hold(&bus);
 }
 
-fn one_gets_another_id<W: Wire>() {
+fn others_hold_while_one_gets_another_id<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     assert_eq!(bring_up::change_id(&mut runner, id(1), id(9)), Ok(()));
     check_others_hold(&bus);
 }
 
-fn one_is_moved<W: Wire>() {
+fn others_hold_while_one_is_moved<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     assert_eq!(bring_up::release_brake(&mut runner, id(1)), Ok(()));
     let go_on = |_: &_| ControlFlow::Continue(());
@@ -121,7 +121,7 @@ fn one_is_moved<W: Wire>() {
     check_others_hold(&bus);
 }
 
-fn all_ids_are_looked_for<W: Wire>() {
+fn others_hold_during_a_scan_of_all_ids<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     let expected = others().chain([id(1)]).collect();
     assert_eq!(bring_up::scan(&mut runner, MotorSet::ALL, |_, _| {}), Ok(expected));
@@ -132,7 +132,7 @@ fn all_ids_are_looked_for<W: Wire>() {
     check_others_are_free(&mut runner);
 }
 
-fn one_that_is_not_there_is_waited_for<W: Wire>() {
+fn others_hold_while_an_absent_one_is_awaited<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     let waited = bring_up::wait_until_there(&mut runner, id(20), millis(500));
     assert_eq!(waited, Err(BringUpError::NotThere(id(20))));
@@ -140,14 +140,14 @@ fn one_that_is_not_there_is_waited_for<W: Wire>() {
     check_others_are_free(&mut runner);
 }
 
-fn two_with_one_id_are_told_apart<W: Wire>() {
+fn others_hold_during_a_check_for_a_shared_id<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     assert_eq!(bring_up::is_shared(&mut runner, id(1)), Ok::<_, CallError<_>>(false));
     check_others_hold(&bus);
 }
 
-/// One of them since a moment ago.
-fn two_of_them_are_dead<W: Wire>() {
+/// The second of them dies right before motor 1 is restarted.
+fn others_hold_while_two_of_them_are_dead<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     bus.world.cut(bus.drives[4].station());
     bring_up::wait_until_there(&mut runner, id(20), millis(200)).unwrap_err();
@@ -158,7 +158,7 @@ fn two_of_them_are_dead<W: Wire>() {
 
 /// A USB adapter hands over what it hears every 16 ms.
 #[test]
-fn all_of_a_can_bus_hold_behind_an_adapter_that_delivers_in_bursts() {
+fn all_motors_hold_behind_a_can_adapter_that_delivers_in_bursts() {
     let bus = slow_to_brake(8).on_can(1_000_000).unwrap();
     let (mut runner, station) = CanBus::runner::<8>(&bus.world, CanBus::CONFIG);
     bus.world.hand_over_every(station, millis(16));
@@ -189,7 +189,7 @@ fn a_bus_that_is_out_for_a_while<W: Wire>() {
 }
 
 /// Another master has had them hold.
-fn those_that_a_scan_has_found<W: Wire>() {
+fn motors_found_by_a_scan_hold_on<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     let (all, mut runner) = (runner.master().motors(), master(&bus));
     assert_eq!(bring_up::scan(&mut runner, all, |_, _| {}), Ok(all));
@@ -197,8 +197,8 @@ fn those_that_a_scan_has_found<W: Wire>() {
     check_others_hold(&bus);
 }
 
-/// It is told again and again to stop.
-fn a_motor_that_does_not_confirm_a_stop<W: Wire>() {
+/// The stop is sent to it again and again.
+fn others_hold_while_one_does_not_confirm_a_stop<W: Wire>() {
     let (bus, mut runner) = held::<W>();
     bus.world.cut(bus.drives[5].station());
     assert!(!runner.stop(id(MOTORS), StopKind::Hold));
@@ -243,7 +243,7 @@ fn longest_pause(times: &[Instant]) -> Duration {
 const SLOW_EXCHANGE: Duration = Duration::from_micros(2 * 1_129 + 900 + 100);
 
 #[test]
-fn a_falling_load_is_looked_at_first_however_many_motors_are_on_a_slow_line() {
+fn falling_load_is_read_first_on_a_slow_line_with_many_motors() {
     let (bus, mut runner) = on_a_slow_line(8);
     bus.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
     let log = bus.world.log();
@@ -261,7 +261,7 @@ fn a_falling_load_is_looked_at_first_however_many_motors_are_on_a_slow_line() {
 }
 
 #[test]
-fn a_moving_motor_is_looked_at_as_often_however_many_motors_are_on_a_slow_line() {
+fn moving_motor_is_read_as_often_on_a_slow_line_with_many_motors() {
     let (bus, mut runner) = on_a_slow_line(8);
     let log = bus.world.log();
     let go_on = |_: &_| ControlFlow::Continue(());
@@ -321,7 +321,7 @@ fn motors_hold_while_a_move_of_one_that_died_ends_with_its_stop() {
     assert_eq!(lost_their_master(&bus.drives[1..]), []);
 }
 
-/// Each question to the two is unanswered, and waited for.
+/// No question to the two is answered, and each is awaited.
 #[test]
 fn motors_on_a_slow_line_hold_while_two_with_one_id_answer_at_once() {
     let setups = [1, 1, 2, 3, 4, 5, 6, 7].map(|number| MotorSetup::new(id(number)));

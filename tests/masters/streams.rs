@@ -23,25 +23,26 @@ fn flood<W: Wire>(cuts: bool) {
         } else if cuts && step % 1_000 == 400 {
             rig.world.mend(rig.port);
         }
-        let told = rig.run_for(Duration::from_micros(200));
-        dropped += told.iter().filter(|told| matches!(told, Event::SetPointDropped { .. })).count();
+        let events = rig.run_for(Duration::from_micros(200));
+        dropped +=
+            events.iter().filter(|event| matches!(event, Event::SetPointDropped { .. })).count();
     }
     rig.run_for(millis(200));
     assert!(!cuts || W::NAME != "CAN" || dropped > 0, "a dead bus drops set-points");
     for motor in rig.motors() {
         let (page, health) = (rig.ledger.page(motor), rig.runner.master().health(motor));
-        let told = format!("{}: motor {motor}, cuts {cuts}, {health:?}", W::NAME);
-        assert_eq!((page.sent.stale, page.heard.stale), (0, 0), "{told}");
-        assert!(page.sent.set_points > 20, "{told}");
+        let case = format!("{}: motor {motor}, cuts {cuts}, {health:?}", W::NAME);
+        assert_eq!((page.sent.stale, page.heard.stale), (0, 0), "{case}");
+        assert!(page.sent.set_points > 20, "{case}");
         if !cuts {
             // Each was sent or counted as superseded.
             let superseded = u64::from(health.superseded);
-            assert_eq!(page.sent.set_points + superseded, u64::from(number), "{told}");
+            assert_eq!(page.sent.set_points + superseded, u64::from(number), "{case}");
         }
     }
 }
 
-/// Other faults are in `master_truth`.
+/// `master_truth` checks this under other faults.
 #[test]
 fn no_set_point_is_sent_after_a_newer_one_however_many_come() {
     for cuts in [false, true] {
@@ -73,7 +74,7 @@ fn a_stream_of_any_number_of_motors_sees_that_the_bus_is_cut() {
 }
 
 #[test]
-fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
+fn commands_waiting_on_a_dead_bus_are_dropped_and_never_replayed() {
     let mut rig = Rig::<CanBus>::new(8, 3);
     rig.put_all(1);
     rig.run_for(millis(20));
@@ -89,10 +90,10 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     let read = angle(78);
     let read = rig.runner.master().request(id(2), read).expect("nothing is under way");
     events.extend(rig.run_for(millis(100)));
-    let told = events.iter().find_map(|event| step.outcome(event));
-    assert_eq!(told, Some(Err(Failure::BusDown)), "the move is dropped");
-    let told = events.iter().find_map(|event| read.outcome(event));
-    assert_eq!(told, Some(Err(Failure::BusDown)), "nobody waits for ever");
+    let returned = events.iter().find_map(|event| step.outcome(event));
+    assert_eq!(returned, Some(Err(Failure::BusDown)), "the move is dropped");
+    let returned = events.iter().find_map(|event| read.outcome(event));
+    assert_eq!(returned, Some(Err(Failure::BusDown)), "nobody waits for ever");
     for motor in 1..=8 {
         assert!(events.contains(&Event::SetPointDropped { motor: id(motor) }), "motor {motor}");
     }
@@ -166,14 +167,14 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     assert!(took <= millis(longest), "{}: {took} for all to stop", W::NAME);
     for motor in rig.motors() {
         let page = rig.ledger.page(motor);
-        let told = format!("{}: motor {motor}, seed {seed}", W::NAME);
+        let case = format!("{}: motor {motor}, seed {seed}", W::NAME);
         let heard = page.heard.last_stop.is_some_and(|at| at >= begun);
-        assert!(heard || unconfirmed.contains(motor), "{told} is said to have stopped");
+        assert!(heard || unconfirmed.contains(motor), "{case} is said to have stopped");
         let first = page.sent.first_stop.expect("each is told at least once");
-        assert!(page.sent.last_motion < Some(first), "{told} was moved after its stop");
+        assert!(page.sent.last_motion < Some(first), "{case} was moved after its stop");
         if W::NAME == "CAN" {
             // At most ten frames of the controller's queue and eight stops come first.
-            assert!(first - begun < Duration::from_micros(18 * 135), "{told} waited");
+            assert!(first - begun < Duration::from_micros(18 * 135), "{case} waited");
         }
         // Nothing moves it until the stop is lifted.
         assert_eq!(rig.put(motor, 1_000), Err(RequestError::Stopped));

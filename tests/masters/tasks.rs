@@ -39,7 +39,7 @@ on_both_buses! {
     motors_are_asked_together
     a_set_point_is_waited_for
     a_motor_arrives
-    one_that_is_held_is_stopped
+    motor_that_is_held_is_stopped
     a_move_that_is_dropped_stops_its_motor
     a_stop_that_is_dropped_goes_on
 }
@@ -83,10 +83,10 @@ where
     let soon = bus.now() + millis(20);
     bus.run_until(soon, |_| {}).await.unwrap();
     let asked = [3, 9, 1].map(|motor| (id(motor), ReadMultiTurnAngle));
-    let told = bus.ask_together(asked).await;
-    let told = told.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
+    let returned = bus.ask_together(asked).await;
+    let returned = returned.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
     assert_eq!(
-        told,
+        returned,
         [Ok(30.0), Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }), Ok(0.0)]
     );
 }
@@ -114,7 +114,7 @@ where
     assert!((state(&fleet.drives[0]).angle_deg - 60.0).abs() < 0.3);
 }
 
-async fn one_that_is_held_is_stopped<B: Medium, R: AsyncRunner<8>>(_: &BusFleet<B>, bus: &mut R)
+async fn motor_that_is_held_is_stopped<B: Medium, R: AsyncRunner<8>>(_: &BusFleet<B>, bus: &mut R)
 where
     R::Error: Debug + PartialEq,
 {

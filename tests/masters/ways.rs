@@ -23,33 +23,33 @@ use myactuator_tests::values::{degrees, go_to, grip_at, id, millis, push, turn, 
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
-    each_question_has_its_own_answer
-    the_bus_runs_until_then
-    a_set_point_is_waited_for_with_its_own_feedback
+    ask_together_returns_each_motors_own_reply
+    run_until_runs_up_to_the_given_time
+    set_point_and_wait_returns_its_own_feedback
     a_set_point_that_cannot_be_sent_or_is_not_answered_is_reported
     the_newest_feedback_is_kept
     a_motor_arrives_and_holds
-    a_relative_move_is_one_from_where_the_shaft_is
-    a_motor_that_is_held_has_stalled_and_is_stopped
+    relative_move_counts_from_where_the_shaft_is
+    motor_that_is_held_is_reported_stalled_and_stopped
     a_move_ends_when_its_time_is_up
     a_move_is_given_up
-    a_restart_on_the_way_is_reported_as_one
+    restart_during_a_move_is_reported_as_a_restart
     a_pause_between_two_looks_is_not_reported_as_a_restart
-    a_panic_on_the_way_stops_the_motor
+    panic_during_a_move_stops_the_motor
     a_protected_motor_is_moved_after_a_pause
-    a_fault_on_the_way_ends_the_move
-    a_stop_of_all_reaches_motors_that_nobody_has_named
+    fault_during_a_move_ends_it
+    stop_of_all_reaches_motors_unknown_to_the_master
     a_motor_that_falls_silent_has_not_confirmed_its_stop
     a_motor_that_comes_back_under_a_stop_is_stopped
-    a_restart_on_the_way_ends_the_move_and_forbids_another
-    one_whose_cable_was_cut_may_have_restarted
-    a_gripper_goes_on_pressing_with_what_it_was_given
-    what_drives_a_gripper_away_is_no_grip
+    restart_during_a_move_ends_it_and_forbids_another
+    motor_whose_cable_was_cut_may_have_restarted
+    gripper_goes_on_pressing_with_the_given_torque
+    force_that_drives_a_gripper_away_is_no_grip
     a_gripper_that_never_moved_has_gripped_nothing
-    one_that_has_let_go_neither_presses_nor_is_held
+    motor_that_cut_its_output_neither_presses_nor_stalls
 }
 
-fn each_question_has_its_own_answer<W: Wire>() {
+fn ask_together_returns_each_motors_own_reply<W: Wire>() {
     let bus = W::drives(&Fleet::new(4)).unwrap();
     let runner = &mut master(&bus);
     for (drive, angle) in bus.drives.iter().zip([10.0, 20.0, 30.0, 40.0]) {
@@ -59,9 +59,9 @@ fn each_question_has_its_own_answer<W: Wire>() {
     // One of them is not answered. Another waits for an earlier one to the same motor.
     let asked = [1, 2, 9, 4, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
     let answers = runner.ask_together(asked);
-    let told = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
+    let returned = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
     let silent = Err(CallError::Failed { motor: id(9), failure: Failure::NoReply });
-    assert_eq!(told, [Ok(10.0), Ok(20.0), silent, Ok(40.0), Ok(30.0), Ok(40.0)]);
+    assert_eq!(returned, [Ok(10.0), Ok(20.0), silent, Ok(40.0), Ok(30.0), Ok(40.0)]);
 
     runner.master().stop(id(2), StopKind::Hold).unwrap();
     listen(runner, millis(50));
@@ -80,15 +80,15 @@ fn after_a_stop_on_a_dead_bus_no_call_waits_for_ever() {
     assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()), id(1).into());
     let busy = CallError::refused(id(1))(RequestError::Busy);
     assert_eq!(bus.ask(id(1), ReadMultiTurnAngle), Err(busy));
-    let told = bus.ask_together([1, 2].map(|motor| (id(motor), ReadMultiTurnAngle)));
+    let returned = bus.ask_together([1, 2].map(|motor| (id(motor), ReadMultiTurnAngle)));
     assert_eq!(
-        told,
+        returned,
         [Err(busy), Err(CallError::Failed { motor: id(2), failure: Failure::BusDown })]
     );
 }
 
 #[test]
-fn on_can_four_are_asked_in_less_than_the_time_of_two() {
+fn four_motors_on_can_are_asked_in_less_than_the_time_of_two() {
     let fleet = Fleet::new(4).on_can(1_000_000).unwrap();
     let mut bus = fleet.master::<8>();
     let begun = bus.now();
@@ -100,7 +100,7 @@ fn on_can_four_are_asked_in_less_than_the_time_of_two() {
     assert!(bus.now() - begun < one.times(2), "{} for four, {one} for one", bus.now() - begun);
 }
 
-fn a_stop_of_all_reaches_motors_that_nobody_has_named<W: Wire>() {
+fn stop_of_all_reaches_motors_unknown_to_the_master<W: Wire>() {
     let bus = W::drives(&Fleet::new(3)).unwrap();
     let runner = &mut master(&bus);
     runner.master().broadcast(turn(90.0), id(1).into()).unwrap();
@@ -117,15 +117,15 @@ fn a_stop_of_all_reaches_motors_that_nobody_has_named<W: Wire>() {
     assert!(speeds().all(|speed| speed < 1.0), "{:?}", speeds().collect::<Vec<_>>());
 }
 
-fn the_bus_runs_until_then<W: Wire>() {
+fn run_until_runs_up_to_the_given_time<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     let ticket = runner.master().request(id(1), ReadMultiTurnAngle).unwrap();
-    let mut told = Vec::new();
+    let mut returned = Vec::new();
     let begun = runner.now();
-    runner.run_until(begun + millis(30), |event| told.push(event)).unwrap();
+    runner.run_until(begun + millis(30), |event| returned.push(event)).unwrap();
     assert_eq!(runner.now() - begun, millis(30));
-    assert!(matches!(told[..], [event] if ticket.outcome(&event).is_some_and(|it| it.is_ok())));
+    assert!(matches!(returned[..], [event] if ticket.outcome(&event).is_some_and(|it| it.is_ok())));
     // Even if the time has passed already, each call sends and receives.
     let ticket = runner.master().request(id(1), ReadMultiTurnAngle).unwrap();
     let mut outcome = None;
@@ -140,7 +140,7 @@ fn the_bus_runs_until_then<W: Wire>() {
     assert!(matches!(outcome, Some(Ok(_))));
 }
 
-fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
+fn set_point_and_wait_returns_its_own_feedback<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     // One of the same kind is in flight. Its feedback must not pass for that of the next.
@@ -212,7 +212,7 @@ fn a_motor_arrives_and_holds<W: Wire>() {
     assert!(runner.ask(id(1), TO_90_DEG()).is_ok(), "nothing has stopped it");
 }
 
-fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {
+fn relative_move_counts_from_where_the_shaft_is<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     turn_to(&bus.drives[0], -30.0);
@@ -242,7 +242,7 @@ fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
     (why, not_arrived.is_stopped)
 }
 
-fn a_motor_that_is_held_has_stalled_and_is_stopped<W: Wire>() {
+fn motor_that_is_held_is_reported_stalled_and_stopped<W: Wire>() {
     let (why, is_stopped) = held::<W>(&MoveLimits::default());
     assert!(
         matches!(why, MoveFailure::Stalled { target, .. } if target == degrees(90.0)),
@@ -276,7 +276,7 @@ fn a_move_is_given_up<W: Wire>() {
     assert!((29.0..60.0).contains(&at), "{at}");
 }
 
-fn a_panic_on_the_way_stops_the_motor<W: Wire>() {
+fn panic_during_a_move_stops_the_motor<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let mut runner = master(&bus);
     let moving = AssertUnwindSafe(|| {
@@ -305,7 +305,7 @@ fn a_protected_motor_is_moved_after_a_pause<W: Wire>() {
     assert!(arrival.is_ok(), "{arrival:?}");
 }
 
-fn a_fault_on_the_way_ends_the_move<W: Wire>() {
+fn fault_during_a_move_ends_it<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     let drive = &bus.drives[0];
@@ -345,7 +345,7 @@ fn a_motor_that_comes_back_under_a_stop_is_stopped<W: Wire>() {
 }
 
 /// The motor has lost its turns, so it would go on to a wrong one.
-fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
+fn restart_during_a_move_ends_it_and_forbids_another<W: Wire>() {
     let fleet = Fleet::new(1).faults(["reset@1+1.5s".parse().unwrap()]);
     let bus = W::drives(&fleet).unwrap();
     let runner = &mut master(&bus);
@@ -367,7 +367,7 @@ fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
     assert!(runner.ask(id(1), go_to(0.0, 360)).is_ok());
 }
 
-fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
+fn motor_whose_cable_was_cut_may_have_restarted<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     runner.ask(id(1), turn(90.0)).unwrap();
@@ -376,22 +376,22 @@ fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
     assert!(runner.ask(id(1), ReadMultiTurnAngle).is_err());
     bus.world.mend(bus.drives[0].station());
     assert!(runner.ask(id(1), ReadMultiTurnAngle).is_ok());
-    let told = runner.ask(id(1), turn(90.0)).unwrap_err();
-    assert_eq!(told, CallError::Refused { motor: id(1), refusal: RequestError::Restarted });
+    let returned = runner.ask(id(1), turn(90.0)).unwrap_err();
+    assert_eq!(returned, CallError::Refused { motor: id(1), refusal: RequestError::Restarted });
     // It has not restarted, and still turns.
     assert!(state(&bus.drives[0]).measurement.speed_dps > 80.0);
-    let told = told.to_string();
+    let returned = returned.to_string();
     for words in [
         "may have restarted",
         "silent for a second",
         "stop it, see",
         "then lift the stop and resume",
     ] {
-        assert!(told.contains(words), "{told}");
+        assert!(returned.contains(words), "{returned}");
     }
 }
 
-fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
+fn gripper_goes_on_pressing_with_the_given_torque<W: Wire>() {
     let jaw = EndStop { at_deg: 20.0, stiffness_nm_per_rad: 500.0, restitution: 0.0 };
     let fleet = Fleet::new(1).load(Load { upper_stop: Some(jaw), ..Load::NONE });
     for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
@@ -418,7 +418,7 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
 }
 
 /// The motor's protection is shorter than the time between two looks.
-fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
+fn motor_that_cut_its_output_neither_presses_nor_stalls<W: Wire>() {
     for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
         let bus = W::drives(&Fleet::new(1)).unwrap();
         let runner = &mut master(&bus);
@@ -454,7 +454,7 @@ fn gripped<W: Wire>(percent_of_rated: u8, torque_nm: f64) -> MoveFailure<()> {
     why
 }
 
-fn what_drives_a_gripper_away_is_no_grip<W: Wire>() {
+fn force_that_drives_a_gripper_away_is_no_grip<W: Wire>() {
     let why = gripped::<W>(5, -20.0);
     let MoveFailure::Turning { at, target, speed } = why else { panic!("{why}") };
     assert_eq!(target, degrees(40.0));
@@ -468,15 +468,15 @@ fn a_gripper_that_never_moved_has_gripped_nothing<W: Wire>() {
 }
 
 /// The motor's supply fails for a moment. It had no command to switch off, and it heard everything.
-fn a_restart_on_the_way_is_reported_as_one<W: Wire>() {
+fn restart_during_a_move_is_reported_as_a_restart<W: Wire>() {
     let restart = "reset@1+300ms".parse().unwrap();
     let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
     let go_on = |_: &_| ControlFlow::Continue(());
     let limits = MoveLimits::default();
     let not_arrived =
         bring_up::move_to(&mut master(&bus), id(1), TO_90_DEG(), &limits, go_on).unwrap_err();
-    let told = not_arrived.to_string();
-    assert!(told.contains("restarted"), "{told}");
+    let returned = not_arrived.to_string();
+    assert!(returned.contains("restarted"), "{returned}");
 }
 
 fn a_pause_between_two_looks_is_not_reported_as_a_restart<W: Wire>() {
@@ -508,10 +508,10 @@ fn a_pause_between_two_looks_is_not_reported_as_a_restart<W: Wire>() {
     assert_eq!(looks, 1);
 }
 
-/// A drive that has lost its master meanwhile ignores a look, not the move. If the error told the caller to repeat a
-/// relative move, the motor would move twice.
+/// A drive that has lost its master ignores a read during the move, not the move. If the error advised the caller to
+/// repeat a relative move, the motor would move twice.
 #[test]
-fn an_ignored_look_is_reported_as_the_end_of_the_move() {
+fn ignored_read_during_a_move_gives_no_advice_to_repeat_it() {
     let step = IncrementalPosition { max_speed: up_to(360), angle: degrees(200.0) };
     let mut let_go = 0;
     for seed in 1..20 {

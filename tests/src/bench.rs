@@ -132,7 +132,7 @@ impl Bench {
     }
 
     /// The angle of 0x92, in degrees.
-    pub fn told_angle(&mut self) -> f32 {
+    pub fn reported_angle(&mut self) -> f32 {
         self.ask(ReadMultiTurnAngle).angle.degrees()
     }
 

@@ -11,11 +11,11 @@ pub fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
     master: &mut R,
     until: Instant,
 ) -> Vec<Event> {
-    let mut told = Vec::new();
+    let mut events = Vec::new();
     loop {
         match master.poll().expect("a bus without faults") {
-            Some(event) => told.push(event),
-            None if master.now() >= until => return told,
+            Some(event) => events.push(event),
+            None if master.now() >= until => return events,
             None => master.idle(until),
         }
     }

@@ -47,7 +47,7 @@ impl<M: Medium> Drop for Holds<M> {
     fn drop(&mut self) {
         let (mut truth, now) = (self.book.open(), self.world.now());
         truth.tick(now);
-        truth.nobody_could_offer();
+        truth.no_offer_was_possible();
         if now - self.since > STUCK_AFTER {
             truth.bus_has_failed();
         }
