@@ -82,6 +82,6 @@ fn unread_log_holds_nothing_up() {
     push(&bus);
     push(&bus);
     kill_process(Pid::from_child(&simulation.0), Signal::INT).unwrap();
-    simulation.0.wait().unwrap();
+    assert!(simulation.0.wait().unwrap().success());
     drop(reader);
 }

@@ -307,6 +307,7 @@ mod tests {
 
     use myactuator_host_std::open::{AnyMaster, BusAddress};
     use myactuator_host_std::sim::bus::can::ControllerConfig;
+    use myactuator_host_std::sim::bus::trace;
     use myactuator_host_std::sim::{Fleet, LineFleet};
     use myactuator_protocol_core::command::{
         MotionLimits, MotionRanges, ReadStatus1, Stop, VersionDate,
@@ -363,8 +364,14 @@ mod tests {
 
     #[test]
     fn command_to_all_on_rs485_succeeds_without_replies() {
-        let (_fleet, mut session) = on_line(3);
+        let (fleet, mut session) = on_line(3);
+        let log = fleet.world.log();
         assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
+        let to_all = [0x3E, 0xCD, 8, 0x81];
+        let sent = log.take().into_iter().filter(|record| {
+            matches!(&record.event, trace::Event::Carried { frame, .. } if frame.starts_with(&to_all))
+        });
+        assert_eq!(sent.count(), 1);
     }
 
     #[test]
