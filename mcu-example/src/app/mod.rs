@@ -16,14 +16,14 @@ use heapless::Vec;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
-use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::time::Instant;
 
 use self::button::{Button, Press};
 use self::locks::Locks;
 use self::motor::Motor;
 use self::rounds::Rounds;
-use self::running::{SECOND, SEEN_WITHIN};
-use self::script::{Script, Step};
+use self::running::{SECOND, SEEN_WITHIN, Silence};
+use self::script::{Part, Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::state::State;
 use self::stopping::STOPPED_BY_ITSELF;
@@ -142,16 +142,18 @@ impl<const N: usize> App<N> {
 
     /// Begins a cycle. Call it when [`next_cycle`](Self::next_cycle) has come.
     pub fn begin_cycle(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        let is_late = at.now > self.next_cycle + half(self.setup.cycle);
+        let late = at.now - self.next_cycle;
+        let is_late = late + late > self.setup.cycle;
         self.next_cycle = if is_late { at.now } else { self.next_cycle } + self.setup.cycle;
 
+        let longest = self.longest_silence(at.now);
         match self.button.look(at.board.is_button_down(), at.now) {
             Some(press) => self.pressed(press, at),
-            None => self.go_on(is_late, at),
+            None => self.go_on(is_late, longest, at),
         }
 
         at.board.set_light(self.is_light_on(at.now));
-        let sees_its_motors = !self.is_running() || self.longest_silence(at.now).1 <= SEEN_WITHIN;
+        let sees_its_motors = !self.is_running() || longest.1 <= SEEN_WITHIN;
         if !is_late && sees_its_motors {
             at.board.feed_watchdog();
         }
@@ -167,7 +169,7 @@ impl<const N: usize> App<N> {
                 self.motors.clear();
                 self.failed = MotorSet::EMPTY;
                 let all = self.known();
-                self.enter(State::Finding(Script::find(all, at.now)), at);
+                self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
             }
             // It began before they were stopped: it was meant for what there was then.
             (State::Stopped { .. }, Press::Long { since })
@@ -176,7 +178,7 @@ impl<const N: usize> App<N> {
                 self.failed = MotorSet::EMPTY;
                 self.unseen = MotorSet::EMPTY;
                 self.missed = MotorSet::EMPTY;
-                let script = Script::shut_down(self.expected, at.now);
+                let script = Script::new(Part::Lock, self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
             // A press that stops the motors, or comes while they are being stopped, is used up: releasing the button
@@ -190,7 +192,7 @@ impl<const N: usize> App<N> {
 
     // Inlined, it costs some 30 instructions in every cycle.
     #[inline(never)]
-    fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
+    fn go_on(&mut self, is_late: bool, longest: Silence, at: &mut Moment<'_, N, impl Board>) {
         // Before anything else is asked.
         self.locks.ask(&self.setup, at.master);
         match &mut self.state {
@@ -198,7 +200,7 @@ impl<const N: usize> App<N> {
             State::Running { cycles, overruns, .. } => {
                 *cycles = cycles.saturating_add(1);
                 *overruns = overruns.saturating_add(is_late.into());
-                self.control(at);
+                self.control(longest, at);
             }
             state => match state.script().map(|it| it.go_on(&self.setup, at.master, at.now)) {
                 Some(Step::Refused(motor)) => self.trouble(Trouble::Refused { motor }, at),
@@ -229,7 +231,7 @@ impl<const N: usize> App<N> {
                 }
                 // Nothing moves yet, but a brake cannot be opened while a stop is in force.
                 at.master.lift_stop();
-                self.enter(State::Preparing(Script::prepare(found, at.now)), at);
+                self.enter(State::Preparing(Script::new(Part::Protect, found, at.now)), at);
             }
             State::ShuttingDown { script, turning } | State::Looking { script, turning, .. } => {
                 let is_any_turning = !turning.is_empty();
@@ -309,8 +311,4 @@ impl<const N: usize> App<N> {
             _ => blink(100),
         }
     }
-}
-
-const fn half(span: Duration) -> Duration {
-    Duration::from_micros(span.as_micros() / 2)
 }

@@ -18,10 +18,13 @@ const ROUND: Duration = Duration::from_millis(10);
 pub(super) const SEEN_WITHIN: Duration = Duration::from_millis(50);
 pub(super) const SECOND: Duration = Duration::from_secs(1);
 
+/// The motor that was not heard for the longest time, and how long that is.
+pub(super) type Silence = (Option<MotorId>, Duration);
+
 impl<const N: usize> App<N> {
     /// One cycle of motion.
-    pub(super) fn control(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        if let (Some(motor), silence) = self.longest_silence(at.now)
+    pub(super) fn control(&mut self, longest: Silence, at: &mut Moment<'_, N, impl Board>) {
+        if let (Some(motor), silence) = longest
             && silence > SILENT_AFTER
         {
             return self.trouble(self.silent(motor, at), at);
@@ -62,8 +65,7 @@ impl<const N: usize> App<N> {
         matches!(self.state, State::Running { .. })
     }
 
-    /// The motor that was not heard for the longest time, and how long that is.
-    pub(super) fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
+    pub(super) fn longest_silence(&self, now: Instant) -> Silence {
         let silences = self.motors.iter().map(|motor| (Some(motor.id), motor.silence(now)));
         silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
     }

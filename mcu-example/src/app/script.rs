@@ -134,9 +134,10 @@ impl Question {
     }
 }
 
-/// The questions of a script.
+/// The questions of a script. Each part is done for all motors before the next: so all brakes open at the same time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Part {
+pub(super) enum Part {
+    /// Which motors are there, what they are, and whether they report errors.
     Find,
     Protect,
     ReportErrors,
@@ -147,9 +148,13 @@ enum Part {
     /// stop may have no effect. A motor with an error opens its brake but does not hold. So its errors are read before,
     /// and once more at the end.
     Release,
+    /// Where the motors are is read last, once their brakes are open, since a shaft may sink until then. So is whether
+    /// a motor has restarted meanwhile, which locks its brake.
     Begin,
+    /// Before the outputs are switched off: without power the shafts are free.
     Lock,
     SwitchOff,
+    /// Whether the shafts stand.
     Look,
 }
 
@@ -192,19 +197,12 @@ pub(super) struct Script {
 }
 
 impl Script {
-    /// Which motors are there, what they are, and whether they report errors.
-    pub(super) const fn find(motors: MotorSet, now: Instant) -> Self {
-        Self::new(Part::Find, motors, now)
+    /// Asks these motors the questions of this part, not before this time.
+    pub(super) const fn new(part: Part, motors: MotorSet, not_before: Instant) -> Self {
+        Self { part, next: 0, left: motors, asked: None, not_before }
     }
 
-    /// Begins to prepare these motors for running; [`next_of_preparing`](Self::next_of_preparing) returns what follows.
-    /// Each part is done for all motors before the next, so that all brakes open at the same time.
-    pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
-        Self::new(Part::Protect, motors, now)
-    }
-
-    /// What follows in preparing these motors. Where they are is read last, once their brakes are open, since a shaft
-    /// may sink until then. So is whether a motor has restarted meanwhile, which locks its brake.
+    /// What follows in preparing these motors, which begins with [`Part::Protect`].
     pub(super) fn next_of_preparing(
         &self,
         setup: &Setup,
@@ -221,13 +219,9 @@ impl Script {
         }
     }
 
-    /// Locks the brakes before the outputs are switched off: without power the shafts are free.
-    pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
-        Self::new(Part::Lock, motors, now)
-    }
-
-    /// What follows in shutting down these motors. Until the brakes hold, the outputs may have to. Motors that turn
-    /// behind a locked brake, or without a brake once their output is off, are told to hold their loads again.
+    /// What follows in shutting down these motors, which begins with [`Part::Lock`], or in a check alone, which is
+    /// [`Part::Look`]. Until the brakes hold, the outputs may have to. Motors that turn behind a locked brake, or
+    /// without a brake once their output is off, are told to hold their loads again.
     pub(super) fn next_of_shutting_down(
         &self,
         motors: MotorSet,
@@ -249,15 +243,6 @@ impl Script {
             Part::Lock => now + BRAKE_MOVES,
             _ => self.not_before.max(now + FALLS),
         }
-    }
-
-    /// Checks whether the shafts of these motors stand. It goes on as a shutdown does.
-    pub(super) const fn look(motors: MotorSet, not_before: Instant) -> Self {
-        Self::new(Part::Look, motors, not_before)
-    }
-
-    const fn new(part: Part, motors: MotorSet, not_before: Instant) -> Self {
-        Self { part, next: 0, left: motors, asked: None, not_before }
     }
 
     /// Asks the next question if none is in flight.

@@ -4,7 +4,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::script::Script;
+use super::script::{Part, Script};
 use super::state::State;
 use super::{App, Moment};
 use crate::board::Board;
@@ -193,7 +193,7 @@ impl<const N: usize> App<N> {
             return false;
         }
         self.unseen = self.unseen.without(motors);
-        let (script, turning) = (Script::look(motors, self.shows_at), MotorSet::EMPTY);
+        let (script, turning) = (Script::new(Part::Look, motors, self.shows_at), MotorSet::EMPTY);
         self.enter(State::Looking { script, turning, kind, unconfirmed }, at);
         true
     }
