@@ -21,8 +21,7 @@
 //! ```
 //!
 //! `Looking` follows only if a shutdown was broken off: for each motor, once that motor has confirmed its stop. If the
-//! confirmation is late, it follows from `Stopped`. So it does if a motor that let go while all were stopped turns behind
-//! its brake.
+//! confirmation is late, it follows from `Stopped`. So it does if a motor that stands behind its locked brake turns.
 //!
 //! Nothing moves until the button is pressed, whatever happened before.
 #![no_std]

@@ -3,6 +3,7 @@
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::Event;
 
+use super::belief::Seen;
 use super::motor::Motor;
 use super::script::Answer;
 use super::state::State;
@@ -16,16 +17,52 @@ impl<const N: usize> App<N> {
     #[inline(never)]
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         self.locks.note(event);
-        let answer = self.rounds.take(event).or_else(|| {
-            let answer = self.state.script()?.take(event);
-            if let (State::Looking { .. }, Some((motor, Answer::None))) = (&self.state, answer) {
-                self.missed_look(motor, at);
+        if let Some((_, Answer::Turns)) = self.watch.take(event) {
+            // What makes one brake slip may make others slip.
+            self.beliefs.see_all(self.watched(), Seen::MayTurn);
+        }
+        let (motor, answer) = if let Some((motor, answer)) = self.rounds.take(event) {
+            self.take_turn(motor, answer, at);
+            (motor, answer)
+        } else if let Some((motor, answer)) = self.state.script().and_then(|it| it.take(event)) {
+            if let State::Looking { .. } = self.state {
+                self.take_check(motor, answer, at);
             }
-            answer
-        });
-        let Some((motor, answer)) = answer else { return };
+            (motor, answer)
+        } else {
+            return;
+        };
         if let Some(trouble) = self.note(motor, answer, at) {
             self.trouble(trouble, at);
+        }
+    }
+
+    /// What an answer in the rounds, or none, shows of a motor.
+    fn take_turn(&mut self, motor: MotorId, answer: Answer, at: &mut Moment<'_, N, impl Board>) {
+        match answer {
+            Answer::None => self.see(motor, Seen::Missed, at.now),
+            // It holds nothing.
+            Answer::Errors(_) => {}
+            _ => {
+                let [before, after] = self.beliefs.see(motor, Seen::Answered);
+                if after.obeys() && !before.obeys() {
+                    self.hold_again(motor, before.has_let_go(), at);
+                }
+            }
+        }
+    }
+
+    /// What an answer, or none, shows of a motor whose shaft is checked, or which is told to hold it.
+    fn take_check(&mut self, motor: MotorId, answer: Answer, at: &mut Moment<'_, N, impl Board>) {
+        match answer {
+            Answer::None => {
+                let [_, after] = self.beliefs.see(motor, Seen::MissedCheck);
+                if !after.is_unchecked() {
+                    at.board.log(&Report::Trouble(Trouble::Silent { motor }));
+                }
+            }
+            Answer::Done => _ = self.beliefs.see(motor, Seen::Stands),
+            _ => {}
         }
     }
 
@@ -44,10 +81,6 @@ impl<const N: usize> App<N> {
             }
             Answer::None => Some(self.silent(motor, at)),
             Answer::Done => None,
-            Answer::Back { was_gone } => {
-                self.hold_again(motor, was_gone, at.now);
-                was_gone.then_some(Trouble::Restarted { motor })
-            }
             Answer::Version(version_date) => {
                 self.expected.insert(motor);
                 let is_known = self.setup.accepts(version_date);
@@ -63,11 +96,6 @@ impl<const N: usize> App<N> {
                 None
             }
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
-            Answer::Turns if matches!(self.state, State::Stopped { .. }) => {
-                // What makes one brake slip may make others slip.
-                self.unseen = self.unseen.with(self.watched());
-                None
-            }
             Answer::Turns => Some(Trouble::Turns { motor }),
             Answer::Angle(angle) => {
                 self.motor(motor)?.angle = angle;

@@ -1,7 +1,9 @@
 //! The brakes: which are locked, and which are to be since their motors have reported an error.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, Command, ReadStatus1};
+use myactuator_protocol_core::command::{
+    BrakeCommand, Command, LockBrake, ReadStatus1, ReleaseBrake,
+};
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
 
 use super::Setup;
@@ -10,21 +12,34 @@ use super::script::Question;
 /// Knows which brakes are locked, and locks those of some motors.
 #[derive(Debug)]
 pub(super) struct Locks {
-    /// Motors that have last said so.
+    /// Brakes that were told to lock, or have said that they are locked, and were not told to open since. Nothing else
+    /// opens one, whatever it says: some firmware does not report what its brake does.
     locked: MotorSet,
     wanted: MotorSet,
+    /// Motors that have reported an error since the button was pressed.
+    failed: MotorSet,
     /// The command in flight.
     told: Option<TicketId>,
 }
 
 impl Locks {
     pub(super) const fn new() -> Self {
-        Self { locked: MotorSet::EMPTY, wanted: MotorSet::EMPTY, told: None }
+        let [locked, wanted, failed] = [MotorSet::EMPTY; 3];
+        Self { locked, wanted, failed, told: None }
     }
 
-    /// Has this motor's brake lock.
-    pub(super) fn want(&mut self, motor: MotorId) {
+    /// A motor reports an error. It confirms a stop and holds nothing, and its brake may have been told to open. So its
+    /// brake is told to lock, each time. Returns whether this is new since the button was pressed.
+    pub(super) fn fails(&mut self, motor: MotorId) -> bool {
         self.wanted.insert(motor);
+        let is_new = !self.failed.contains(motor);
+        self.failed.insert(motor);
+        is_new
+    }
+
+    /// The button was pressed.
+    pub(super) fn forget_errors(&mut self) {
+        self.failed = MotorSet::EMPTY;
     }
 
     /// Sends the commands to lock, one at a time. A motor that is being stopped gets its own after the stop.
@@ -47,12 +62,13 @@ impl Locks {
 
     /// Takes note of an outcome. If a stop has dropped the command, it is sent again after the stop.
     pub(super) fn note(&mut self, event: &Event) {
-        if let Event::Reply { ticket, data, .. } = event
-            && let Ok(status) = ReadStatus1::decode_reply(data)
-        {
-            match status.brake {
-                BrakeCommand::LOCK => self.locked.insert(ticket.motor()),
-                _ => self.locked.remove(ticket.motor()),
+        if let Event::Reply { ticket, data, .. } = event {
+            let is_locked = ReadStatus1::decode_reply(data)
+                .is_ok_and(|status| status.brake == BrakeCommand::LOCK);
+            if is_locked || LockBrake::decode_reply(data).is_ok() {
+                self.locked.insert(ticket.motor());
+            } else if ReleaseBrake::decode_reply(data).is_ok() {
+                self.locked.remove(ticket.motor());
             }
         }
         let Some(told) = self.told else { return };
@@ -87,7 +103,7 @@ mod tests {
         assert!(master.request(MotorId::all().last().expect("32"), ReadModel).is_ok());
 
         let mut locks = Locks::new();
-        locks.want(motor);
+        assert!(locks.fails(motor));
         locks.ask(&setup, &mut master);
         let mut is_stopped = |master: &mut Master<2>| {
             master.stop_all(StopKind::Hold, MotorSet::EMPTY).expect("it has a place");

@@ -1,6 +1,7 @@
 //! What happens in each cycle.
 
 mod answers;
+mod belief;
 mod button;
 mod locks;
 mod motor;
@@ -18,12 +19,13 @@ use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::Instant;
 
+use self::belief::{Belief, Beliefs, Seen};
 use self::button::{Button, Press};
 use self::locks::Locks;
 use self::motor::Motor;
 use self::rounds::Rounds;
 use self::running::{SECOND, SEEN_WITHIN, Silence};
-use self::script::{Part, Script, Step};
+use self::script::{Part, Question, Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::state::State;
 use self::stopping::STOPPED_BY_ITSELF;
@@ -50,19 +52,13 @@ pub struct App<const N: usize> {
     motors: Vec<Motor, N>,
     /// Motors that must answer: the required ones, and those that have answered anything since the start.
     expected: MotorSet,
+    beliefs: Beliefs,
     locks: Locks,
-    /// Motors whose errors were reported since the button was pressed.
-    failed: MotorSet,
-    /// Motors whose brakes were told to lock by a shutdown that was broken off, and whose shafts were not checked
-    /// since.
-    unseen: MotorSet,
-    /// Motors that may have let go, so that their brakes may have to hold, and missed ones. Until they turn.
-    watched: MotorSet,
-    /// Motors that did not answer while their shafts were checked since the last shutdown began.
-    missed: MotorSet,
-    /// From when on a check shows whether the shafts of unseen motors stand.
+    /// From when on a check shows whether shafts stand.
     shows_at: Instant,
     rounds: Rounds,
+    /// Asks the [watched](Self::watched) motors.
+    watch: Rounds,
     button: Button,
     /// A press that begins before this does not start the motors: [`STOPPED_BY_ITSELF`] after something else stopped
     /// them, or one of them let go and was told to hold again.
@@ -80,13 +76,11 @@ impl<const N: usize> App<N> {
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             motors: Vec::new(),
             expected: setup.required,
+            beliefs: Beliefs::new(),
             locks: Locks::new(),
-            failed: MotorSet::EMPTY,
-            unseen: MotorSet::EMPTY,
-            watched: MotorSet::EMPTY,
-            missed: MotorSet::EMPTY,
             shows_at: at.now,
-            rounds: Rounds::new(at.now),
+            rounds: Rounds::new(&[Question::Errors, Question::RunTime, Question::Angle], at.now),
+            watch: Rounds::new(&[Question::Stands], at.now),
             button: Button::new(),
             // If the firmware has restarted on its own, the motors may have been running and stop now.
             may_start_at: match cause {
@@ -167,7 +161,7 @@ impl<const N: usize> App<N> {
             (State::Stopped { .. }, Press::Short { since }) if since < self.may_start_at => {}
             (State::Stopped { .. }, Press::Short { .. }) => {
                 self.motors.clear();
-                self.failed = MotorSet::EMPTY;
+                self.locks.forget_errors();
                 let all = self.known();
                 self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
             }
@@ -175,9 +169,8 @@ impl<const N: usize> App<N> {
             (State::Stopped { .. }, Press::Long { since })
                 if since + STOPPED_BY_ITSELF < self.may_start_at => {}
             (State::Stopped { .. }, Press::Long { .. }) => {
-                self.failed = MotorSet::EMPTY;
-                self.unseen = MotorSet::EMPTY;
-                self.missed = MotorSet::EMPTY;
+                self.locks.forget_errors();
+                self.beliefs.see_all(self.expected, Seen::ShutDown);
                 let script = Script::new(Part::Lock, self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);
             }
@@ -211,8 +204,7 @@ impl<const N: usize> App<N> {
         // In every state, and also to motors whose firmware was not asked for yet: a motor that hears nothing cuts its
         // output.
         if self.rounds.is_due(at.now) {
-            let (motors, watched) = (self.attended(), self.watched());
-            self.rounds.ask(motors, watched, &self.setup, at.master, at.now);
+            self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
         }
     }
 
@@ -226,7 +218,8 @@ impl<const N: usize> App<N> {
             }
             State::Finding(_) => {
                 // It was not told to hold again yet. Whoever saw it let go pressed to stop it.
-                if let Some(motor) = self.rounds.gone().iter().find(|&it| found.contains(it)) {
+                let gone = self.beliefs.those(Belief::has_let_go);
+                if let Some(motor) = found.iter().find(|&motor| gone.contains(motor)) {
                     return self.trouble(Trouble::Restarted { motor }, at);
                 }
                 // Nothing moves yet, but a brake cannot be opened while a stop is in force.
@@ -260,8 +253,7 @@ impl<const N: usize> App<N> {
                         for motor in &mut self.motors {
                             motor.begin(at.master.health(motor.id), at.now);
                         }
-                        // All motors hold, and their brakes are open.
-                        self.unseen = MotorSet::EMPTY;
+                        self.beliefs.see_all(found, Seen::Ready);
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);

@@ -1,4 +1,4 @@
-//! Asks the motors for their errors, run times and angles, one question at a time.
+//! Asks motors the same questions again and again, one at a time.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
@@ -9,47 +9,26 @@ use super::script::{Answer, Question};
 
 /// How often a question is asked.
 const INTERVAL: Duration = Duration::from_millis(10);
-const QUESTIONS: [Question; 3] = [Question::Errors, Question::RunTime, Question::Angle];
 
-/// Whose turn it is.
+/// Whose turn it is, and which question's.
 #[derive(Debug)]
 pub(super) struct Rounds {
+    questions: &'static [Question],
     /// Counts the questions. Each motor gets one question before any gets the next, so that none hears nothing for
     /// long.
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
-    /// Motors that may have let go, and have not answered since.
-    doubted: MotorSet,
-    /// Motors that may have let go, and have answered once since.
-    answered: MotorSet,
-    /// Motors that [have let go](Self::has_let_go), and are not back. The other doubted ones did not answer one
-    /// question, and may answer all others.
-    gone: MotorSet,
 }
 
 impl Rounds {
-    pub(super) const fn new(now: Instant) -> Self {
-        let (doubted, answered, gone) = (MotorSet::EMPTY, MotorSet::EMPTY, MotorSet::EMPTY);
-        Self { turn: 0, asked: None, next: now, doubted, answered, gone }
+    pub(super) const fn new(questions: &'static [Question], now: Instant) -> Self {
+        Self { questions, turn: 0, asked: None, next: now }
     }
 
-    /// This motor has let go, or nothing shows that it has not.
-    pub(super) fn has_let_go(&mut self, motor: MotorId) {
-        self.gone.insert(motor);
-        self.doubt(motor.into());
-    }
-
-    /// The motors that have let go, and are not back.
-    pub(super) const fn gone(&self) -> MotorSet {
-        self.gone
-    }
-
-    /// These motors may have let go. One that has lost its master obeys the third command. So a motor [is
-    /// back](Answer::Back) once it has answered two.
-    pub(super) const fn doubt(&mut self, motors: MotorSet) {
-        self.doubted = self.doubted.with(motors);
-        self.answered = self.answered.without(motors);
+    /// Asks nothing before this.
+    pub(super) fn wait(&mut self, until: Instant) {
+        self.next = self.next.max(until);
     }
 
     /// Whether it is time for the next question, and none is in flight.
@@ -57,12 +36,10 @@ impl Rounds {
         self.asked.is_none() && now >= self.next
     }
 
-    /// Asks one of these motors the next question. Those that are watched are asked whether their shafts stand, instead
-    /// of where they are.
+    /// Asks one of these motors the next question.
     pub(super) fn ask<const N: usize>(
         &mut self,
         motors: MotorSet,
-        watched: MotorSet,
         setup: &Setup,
         master: &mut Master<N>,
         now: Instant,
@@ -70,17 +47,14 @@ impl Rounds {
         if motors.is_empty() {
             return;
         }
-        self.turn = (self.turn + 1) % (motors.len() * QUESTIONS.len());
+        self.turn = (self.turn + 1) % (motors.len() * self.questions.len());
         let Some(motor) = motors.iter().nth(self.turn % motors.len()) else { return };
-        let question = match QUESTIONS[self.turn / motors.len()] {
-            Question::Angle if watched.contains(motor) => Question::Stands,
-            question => question,
-        };
+        let question = self.questions[self.turn / motors.len()];
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));
+            self.next = now + INTERVAL;
         }
-        self.next = now + INTERVAL;
     }
 
     /// Returns the answer if the event brings it.
@@ -88,26 +62,10 @@ impl Rounds {
         let (ticket, question) = self.asked?;
         let answer = question.answer(ticket, event)?;
         self.asked = None;
-        let motor = ticket.motor();
-        match answer {
+        match event {
             // A stop has dropped the question.
-            Answer::None if matches!(event, Event::Failed { failure: Failure::Stopped, .. }) => {}
-            // It has answered nothing since the last one that it did not answer.
-            Answer::None if self.doubted.contains(motor) => self.has_let_go(motor),
-            Answer::None => self.doubt(motor.into()),
-            Answer::Errors(_) => {}
-            _ if self.doubted.contains(motor) => {
-                self.doubted.remove(motor);
-                self.answered.insert(motor);
-            }
-            _ if self.answered.contains(motor) => {
-                self.answered.remove(motor);
-                let was_gone = self.gone.contains(motor);
-                self.gone.remove(motor);
-                return Some((motor, Answer::Back { was_gone }));
-            }
-            _ => {}
+            Event::Failed { failure: Failure::Stopped, .. } => None,
+            _ => Some((ticket.motor(), answer)),
         }
-        Some((motor, answer))
     }
 }

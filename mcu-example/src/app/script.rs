@@ -56,11 +56,6 @@ pub(super) enum Answer {
     Home(Angle),
     /// Its shaft does not stand.
     Turns,
-    /// It answers again, and obeys.
-    Back {
-        /// Whether it had [let go](super::rounds::Rounds::has_let_go), as far as is known.
-        was_gone: bool,
-    },
 }
 
 impl Question {

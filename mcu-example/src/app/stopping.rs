@@ -1,9 +1,11 @@
 //! How the motors are stopped, and what follows a stop.
 
 use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
+use super::belief::{Belief, Seen};
 use super::script::{Part, Script};
 use super::state::State;
 use super::{App, Moment};
@@ -23,14 +25,10 @@ pub(super) const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
 impl<const N: usize> App<N> {
     /// Reports what is wrong and stops all motors. If they are stopped already, only errors are reported.
     pub(super) fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
-        if let Trouble::Errors { motor, .. } = trouble {
-            // Whether it was reported before or not: the motor confirms a stop and holds nothing, and its brake may
-            // have been told to open.
-            self.locks.want(motor);
-            if self.failed.contains(motor) {
-                return;
-            }
-            self.failed.insert(motor);
+        if let Trouble::Errors { motor, .. } = trouble
+            && !self.locks.fails(motor)
+        {
+            return;
         }
         let is_error = matches!(trouble, Trouble::Errors { .. });
         let goes_on = match self.state {
@@ -59,15 +57,17 @@ impl<const N: usize> App<N> {
                 Trouble::Turns { motor },
             ) => {
                 turning.insert(motor);
-                // Once: it may not be able to.
-                self.watched.remove(motor);
+                self.beliefs.see(motor, Seen::Turns);
             }
             // The others are checked all the same.
-            (State::Looking { script, .. }, Trouble::Refused { motor }) => script.leave_out(motor),
+            (State::Looking { script, .. }, Trouble::Refused { motor }) => {
+                script.leave_out(motor);
+                self.beliefs.see(motor, Seen::Stands);
+            }
             // If a brake is not locked, off is no stop. If a locked brake slips, holding is none either.
             (State::ShuttingDown { script, .. }, _) => {
                 self.shows_at = script.shows_at(at.now);
-                self.unseen = self.expected;
+                self.beliefs.see_all(self.expected, Seen::MayTurn);
                 self.stop(self.setup.stop, at);
             }
             _ => self.stop(self.setup.stop, at),
@@ -81,9 +81,17 @@ impl<const N: usize> App<N> {
         trouble: Trouble,
         at: &mut Moment<'_, N, impl Board>,
     ) {
-        self.rounds.has_let_go(motor);
+        self.see(motor, Seen::LetGo, at.now);
         if self.motor(motor).is_some() {
             self.trouble(trouble, at);
+        }
+    }
+
+    /// Takes note that a motor has let go, or may have. Until its brake has locked, its shaft may turn.
+    pub(super) fn see(&mut self, motor: MotorId, seen: Seen, now: Instant) {
+        let [before, after] = self.beliefs.see(motor, seen);
+        if after.is_watched() && !before.is_watched() {
+            self.watch.wait(now + BRAKE_MOVES);
         }
     }
 
@@ -118,6 +126,9 @@ impl<const N: usize> App<N> {
                     let _ = at.master.stop_all(kind, unconfirmed);
                 }
                 self.look(kind, unconfirmed, at);
+                if self.watch.is_due(at.now) {
+                    self.watch.ask(self.watched(), &self.setup, at.master, at.now);
+                }
             }
             _ => {}
         }
@@ -144,55 +155,48 @@ impl<const N: usize> App<N> {
     }
 
     /// If all are stopped, stops a motor once more that may have let go. A motor that has lost its master or restarted
-    /// holds nothing until then, although it may have confirmed a stop. If its brake has locked, it holds nothing after
-    /// that either: so it is watched.
-    pub(super) fn hold_again(&mut self, motor: MotorId, was_gone: bool, now: Instant) {
-        self.watched.insert(motor);
+    /// holds nothing until then, although it may have confirmed a stop.
+    pub(super) fn hold_again(
+        &mut self,
+        motor: MotorId,
+        was_gone: bool,
+        at: &mut Moment<'_, N, impl Board>,
+    ) {
         if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
             unconfirmed.insert(motor);
-            *again = now;
-            // A motor that never answers one of the questions comes here again and again, and has not let go.
-            if was_gone {
-                self.may_start_at = now + STOPPED_BY_ITSELF;
-            }
+            *again = at.now;
         }
-    }
-
-    /// A motor did not answer while its shaft was checked. That is done once more, when the motor confirms the next
-    /// stop. After that it is at most watched: the motor may never answer this, and while shafts are checked, the
-    /// button does nothing.
-    pub(super) fn missed_look(&mut self, motor: MotorId, at: &mut Moment<'_, N, impl Board>) {
-        if self.missed.contains(motor) {
-            at.board.log(&Report::Trouble(Trouble::Silent { motor }));
-        } else {
-            self.missed.insert(motor);
-            self.watched.insert(motor);
-            self.unseen.insert(motor);
+        // A motor that never answers one of the questions comes here again and again, and has not let go.
+        if was_gone {
+            self.may_start_at = at.now + STOPPED_BY_ITSELF;
+            self.trouble(Trouble::Restarted { motor }, at);
         }
     }
 
     /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
-    pub(super) const fn watched(&self) -> MotorSet {
+    pub(super) fn watched(&self) -> MotorSet {
         match self.state {
-            State::Stopped { kind: StopKind::Hold, .. } => self.locks.among(self.watched),
+            State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => {
+                let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
+                self.locks.among(there.without(unconfirmed))
+            }
             // Their shafts are checked, or nothing holds them, or they move.
             _ => MotorSet::EMPTY,
         }
     }
 
-    /// Begins to check the shafts of motors that have confirmed their stop and were not checked since a shutdown was
-    /// broken off, however late that is: until they are checked, a load may fall. Returns whether there are any.
+    /// Begins to check unchecked shafts of motors that have confirmed their stop, however late that is: until then a
+    /// load may fall. Returns whether there are any.
     fn look(
         &mut self,
         kind: StopKind,
         unconfirmed: MotorSet,
         at: &mut Moment<'_, N, impl Board>,
     ) -> bool {
-        let motors = self.unseen.without(unconfirmed);
+        let motors = self.beliefs.those(Belief::is_unchecked).without(unconfirmed);
         if motors.is_empty() {
             return false;
         }
-        self.unseen = self.unseen.without(motors);
         let (script, turning) = (Script::new(Part::Look, motors, self.shows_at), MotorSet::EMPTY);
         self.enter(State::Looking { script, turning, kind, unconfirmed }, at);
         true
@@ -209,7 +213,9 @@ impl<const N: usize> App<N> {
             at.board.log(&Report::Unheard { motors: unheard });
         }
         at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
-        self.rounds.doubt(unconfirmed);
+        for motor in unconfirmed.iter() {
+            self.see(motor, Seen::Missed, at.now);
+        }
         // Ids that were not heard are stopped again, too: a motor whose replies are lost may hear that.
         self.enter(State::Stopped { kind, unconfirmed, again: at.now }, at);
     }

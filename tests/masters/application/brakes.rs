@@ -330,8 +330,17 @@ fn a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold<B: Moved>()
             assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{case}");
             assert!(!is_off(drive), "{case}");
             // It answers again, and is seen to turn, within two rounds of 90 ms: it falls by 31 degrees, and by 36
-            // without friction in 225 ms.
-            assert!(fallen[1] < 36.0 && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5, "{case}");
+            // without friction in 225 ms. Once it is watched, it is asked every 12 ms, and told to hold within 100 ms:
+            // 7 degrees. On RS485 an id without a motor may occupy the line for 80 ms: 23 degrees in 180 ms.
+            let most_deg = match B::NAME {
+                _ if slips_after_ms < 1_000 => 36.0,
+                "CAN" => 8.0,
+                _ => 23.0,
+            };
+            assert!(
+                fallen[1] < most_deg && fallen[0].abs() < 0.5 && fallen[2].abs() < 0.5,
+                "{case}"
+            );
             stays_held(&mut firmware, &bus);
         }
     }
