@@ -1,4 +1,4 @@
-//! From a bouncing contact to presses.
+//! From a bouncing contact to presses that count.
 
 use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -7,21 +7,20 @@ const SETTLED_AFTER: Duration = Duration::from_millis(20);
 /// A press of this length is a long one.
 const LONG: Duration = Duration::from_secs(1);
 
+/// A press this soon after the motors were stopped by something else was meant to stop them.
+const MEANT_TO_STOP: Duration = Duration::from_secs(1);
+/// A motor that lets go again within this time keeps no more presses from counting.
+const AGAIN: Duration = Duration::from_secs(3);
+
 /// How a button was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Press {
     /// The contact has just closed. That is reason enough to stop, but for nothing else.
     Down,
     /// The button came up again, and stays up.
-    Short {
-        /// When it went down.
-        since: Instant,
-    },
+    Short,
     /// It is held.
-    Long {
-        /// When it went down.
-        since: Instant,
-    },
+    Long,
 }
 
 /// Since when the button is pressed; `None` if nothing more is to be reported of this press.
@@ -37,16 +36,45 @@ enum Contact {
     Opening { since: Instant, pressed: Pressed },
 }
 
-/// Debounces a contact.
+/// Debounces a contact, and knows which presses count.
 #[derive(Debug)]
 pub(super) struct Button {
     contact: Contact,
+    /// A short press that begins before this does not count.
+    short_from: Instant,
+    /// A long press that begins before this does not.
+    long_from: Instant,
+    /// When a motor was last [caught](Self::caught).
+    caught_at: Option<Instant>,
 }
 
 impl Button {
     /// A button that is down at the start counts only after it was up, so that a jammed button starts nothing.
-    pub(super) const fn new() -> Self {
-        Self { contact: Contact::Closed(None) }
+    pub(super) const fn new(now: Instant) -> Self {
+        let contact = Contact::Closed(None);
+        Self { contact, short_from: now, long_from: now, caught_at: None }
+    }
+
+    /// Something else has stopped the motors. Whoever presses within a second meant to do that, so a short press does
+    /// not count. A long one that began before does not either: it was meant for what there was then.
+    pub(super) fn stopped(&mut self, now: Instant) {
+        self.short_from = now + MEANT_TO_STOP;
+        self.long_from = self.long_from.max(now);
+    }
+
+    /// A shaft turns. Whoever presses within a second saw that, so a long press does not count either.
+    pub(super) fn fell(&mut self, now: Instant) {
+        self.short_from = now + MEANT_TO_STOP;
+        self.long_from = now + MEANT_TO_STOP;
+    }
+
+    /// A motor that had let go is told to hold again: its shaft may have turned. If that happens again and again, the
+    /// button is not taken away for ever.
+    pub(super) fn caught(&mut self, now: Instant) {
+        if self.caught_at.is_none_or(|at| now - at >= AGAIN) {
+            self.fell(now);
+        }
+        self.caught_at = Some(now);
     }
 
     /// Reports nothing more until the button was up.
@@ -56,18 +84,20 @@ impl Button {
         }
     }
 
-    /// Takes how the contact is now, and returns what that adds to the press.
+    /// Takes how the contact is now, and returns what that adds to the press, if it counts.
     pub(super) fn look(&mut self, is_down: bool, now: Instant) -> Option<Press> {
         let (contact, press) = match (self.contact, is_down) {
             (Contact::Open, true) => (Contact::Closed(Some(now)), Some(Press::Down)),
             (Contact::Closed(Some(since)), true) if now - since >= LONG => {
-                (Contact::Closed(None), Some(Press::Long { since }))
+                let press = (since >= self.long_from).then_some(Press::Long);
+                (Contact::Closed(None), press)
             }
             (Contact::Closed(pressed), false) => (Contact::Opening { since: now, pressed }, None),
             (Contact::Opening { pressed, .. }, true) => (Contact::Closed(pressed), None),
             (Contact::Opening { since, pressed }, false) if now - since >= SETTLED_AFTER => {
-                let pressed = pressed.filter(|&pressed| since - pressed >= SETTLED_AFTER);
-                (Contact::Open, pressed.map(|since| Press::Short { since }))
+                let counts =
+                    |down: Instant| since - down >= SETTLED_AFTER && down >= self.short_from;
+                (Contact::Open, pressed.is_some_and(counts).then_some(Press::Short))
             }
             (contact, _) => (contact, None),
         };

@@ -28,7 +28,6 @@ use self::running::{SECOND, SEEN_WITHIN, Silence};
 use self::script::{Part, Question, Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::state::State;
-use self::stopping::STOPPED_BY_ITSELF;
 use crate::board::{Board, RestartCause};
 use crate::report::{Report, Trouble};
 
@@ -60,9 +59,6 @@ pub struct App<const N: usize> {
     /// Asks the [watched](Self::watched) motors.
     watch: Rounds,
     button: Button,
-    /// A press that begins before this does not start the motors: [`STOPPED_BY_ITSELF`] after something else stopped
-    /// them, or one of them let go and was told to hold again.
-    may_start_at: Instant,
     next_cycle: Instant,
 }
 
@@ -81,14 +77,13 @@ impl<const N: usize> App<N> {
             shows_at: at.now,
             rounds: Rounds::new(&[Question::Errors, Question::RunTime, Question::Angle], at.now),
             watch: Rounds::new(&[Question::Stands], at.now),
-            button: Button::new(),
-            // If the firmware has restarted on its own, the motors may have been running and stop now.
-            may_start_at: match cause {
-                RestartCause::Power => at.now,
-                _ => at.now + STOPPED_BY_ITSELF,
-            },
+            button: Button::new(at.now),
             next_cycle: at.now,
         };
+        if cause != RestartCause::Power {
+            // The motors may have been running, and stop now.
+            app.button.stopped(at.now);
+        }
         app.stop(setup.stop, at);
         app
     }
@@ -158,17 +153,13 @@ impl<const N: usize> App<N> {
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
-            (State::Stopped { .. }, Press::Short { since }) if since < self.may_start_at => {}
-            (State::Stopped { .. }, Press::Short { .. }) => {
+            (State::Stopped { .. }, Press::Short) => {
                 self.motors.clear();
                 self.locks.forget_errors();
                 let all = self.known();
                 self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
             }
-            // It began before they were stopped: it was meant for what there was then.
-            (State::Stopped { .. }, Press::Long { since })
-                if since + STOPPED_BY_ITSELF < self.may_start_at => {}
-            (State::Stopped { .. }, Press::Long { .. }) => {
+            (State::Stopped { .. }, Press::Long) => {
                 self.locks.forget_errors();
                 self.beliefs.see_all(self.expected, Seen::ShutDown);
                 let script = Script::new(Part::Lock, self.expected, at.now);

@@ -19,8 +19,6 @@ const LONGEST_STOP: Duration = Duration::from_millis(400);
 /// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Also shorter
 /// than a protection.
 const STOP_AGAIN: Duration = Duration::from_millis(400);
-/// A press this soon after the motors were stopped by something else was meant to stop them.
-pub(super) const STOPPED_BY_ITSELF: Duration = Duration::from_secs(1);
 
 impl<const N: usize> App<N> {
     /// Reports what is wrong and stops all motors. If they are stopped already, only errors are reported.
@@ -47,8 +45,10 @@ impl<const N: usize> App<N> {
         if goes_on {
             return;
         }
-        if trouble != Trouble::Button {
-            self.may_start_at = at.now + STOPPED_BY_ITSELF;
+        match trouble {
+            Trouble::Button => {}
+            Trouble::Turns { .. } => self.button.fell(at.now),
+            _ => self.button.stopped(at.now),
         }
         match (&mut self.state, trouble) {
             // It is told to hold again once all shafts were checked.
@@ -168,7 +168,7 @@ impl<const N: usize> App<N> {
         }
         // A motor that never answers one of the questions comes here again and again, and has not let go.
         if was_gone {
-            self.may_start_at = at.now + STOPPED_BY_ITSELF;
+            self.button.caught(at.now);
             self.trouble(Trouble::Restarted { motor }, at);
         }
     }

@@ -346,16 +346,16 @@ fn a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold<B: Moved>()
     }
 }
 
-/// A person who saw it fall presses to stop it. With and without a brake.
+/// A person who saw it fall presses to stop it. With and without a brake, and however long.
 fn a_press_right_after_a_motor_is_told_to_hold_again_starts_nothing<B: Moved>() {
-    for brakes in [false, true] {
+    for (brakes, pressed_ms) in [(false, 50), (true, 50), (false, 1_200), (true, 1_200)] {
         let bus = loaded::<B>(3, brakes);
         let (mut firmware, _) = before_shutdown(&bus);
         lets_go(&mut firmware, &bus.drives[1], true, 0);
         firmware.run_for(millis(200));
-        firmware.press(millis(50));
+        firmware.press(millis(pressed_ms));
         firmware.stays_stopped();
-        assert_eq!(firmware.panel.reports, [], "brakes: {brakes}");
+        assert_eq!(firmware.panel.reports, [], "brakes: {brakes}, {pressed_ms} ms");
         firmware.press(millis(50));
         firmware.run_until(Report::State(StateName::Running), millis(3_000));
     }

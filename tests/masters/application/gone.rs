@@ -22,6 +22,7 @@ on_both_buses! {
     a_press_while_a_motor_lets_go_starts_nothing
     brakes_that_slip_at_the_same_time_are_all_seen
     a_brake_that_was_told_to_lock_is_watched_whatever_it_says
+    a_motor_that_lets_go_again_and_again_leaves_the_button_alive
 }
 
 /// A bus on which motor 3 answers otherwise.
@@ -233,4 +234,21 @@ fn a_brake_that_was_told_to_lock_is_watched_whatever_it_says<B: Moved>() {
     assert!(!is_off(&bus.drives[2]));
     assert!(fallen_deg(&bus, &before_deg)[2] < 15.0, "{:?}", fallen_deg(&bus, &before_deg));
     stays_held(&mut firmware, &bus);
+}
+
+/// It restarts every 700 ms. A press says so, and a long one shuts down.
+fn a_motor_that_lets_go_again_and_again_leaves_the_button_alive<B: Moved>() {
+    for (pressed, state) in [(30..31, StateName::Finding), (30..43, StateName::ShuttingDown)] {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        for tenth in 0..50 {
+            if tenth % 7 == 0 {
+                lets_go(&mut firmware, &bus.drives[1], true, 0);
+            }
+            firmware.panel.is_button_down = pressed.contains(&tenth);
+            firmware.run_for(millis(100));
+        }
+        let told = &firmware.panel.reports;
+        assert!(told.contains(&Report::State(state)), "{pressed:?}: {told:?}");
+    }
 }

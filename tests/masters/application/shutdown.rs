@@ -203,7 +203,9 @@ fn a_motor_that_confirms_late_after_a_shutdown_that_is_broken_off_is_held_again<
 /// A person who presses just then, or within a second, may have seen it. However long that press is.
 fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
     // When the button goes down, before or after that is reported, and for how long.
-    for (down, pressed_ms) in [(None, 400), (None, 1_300), (Some(900), 200), (Some(600), 700)] {
+    for (down, pressed_ms) in
+        [(None, 400), (None, 1_300), (Some(900), 200), (Some(600), 700), (Some(900), 1_200)]
+    {
         let bus = loaded::<B>(3, true);
         let (mut firmware, _) = before_shutdown(&bus);
         shut_down(&mut firmware);
