@@ -3,7 +3,8 @@
 //!
 //! They wait for what they ask. Meanwhile the caller can put no set-points, and events of other motors are ignored. So
 //! use them before a control loop runs, not inside one. A function that waits asks all motors that have a place in the
-//! master for their run times (0xB1) all the while, so that none lets go because it [hears nothing](protect).
+//! master for their run times (0xB1) all the while, so that none lets go because it [hears nothing](protect). It cannot
+//! speak to motors of another bus: with several buses, give each a thread or a task of its own.
 
 use core::ops::ControlFlow;
 
@@ -231,6 +232,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///
 /// - Any command to the motor counts. So the motor does not stop if the control loop hangs while another thread goes on
 ///   reading its temperature.
+/// - Motors of another bus hear nothing while a function here waits: protect none before all buses are found and
+///   checked, or give each bus a thread or a task.
 /// - After a longer pause the motor may answer and not obey until it is spoken to steadily again (2.31.1). Its brake
 ///   has locked by then, and torque and motion commands do not open it: [release](release_brake) it again.
 /// - A load falls until the brake holds: [lock](lock_brake) it before you fall silent on purpose.
