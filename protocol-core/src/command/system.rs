@@ -172,7 +172,7 @@ reply! {
 }
 
 /// A model's name, up to seven ASCII characters (2.33.3). Shorter ones are filled up with zeros.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct ModelName([u8; 7]);
 
@@ -241,6 +241,12 @@ impl fmt::Display for ModelName {
     }
 }
 
+impl fmt::Debug for ModelName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ModelName({self})")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -288,5 +294,6 @@ mod tests {
         assert_eq!(ModelName::from_bytes(*b"X8\xFFS2V1").as_str(), None);
         assert_eq!(ModelName::from_bytes(*b"X8\xFFS2V1").to_string(), "X8.S2V1");
         assert_eq!(ModelName::from_bytes(*b"X8\0S2V1").as_str(), None);
+        assert_eq!(std::format!("{:?}", ModelName::from_bytes(*b"RMD-X8\0")), "ModelName(RMD-X8)");
     }
 }
