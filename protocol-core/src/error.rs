@@ -78,7 +78,9 @@ pub enum RequestError {
     #[error("{0} acts with each sending, so it is no set-point: request it")]
     NotASetPoint(Opcode),
     /// The master has no place for another motor.
-    #[error("this master is made for {capacity} motors: make it larger")]
+    #[error(
+        "this master has places for {capacity} motors, and all are taken: make it larger (its N), or forget ids without a motor"
+    )]
     TooManyMotors {
         /// How many places it has.
         capacity: usize,

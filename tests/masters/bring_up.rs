@@ -37,6 +37,7 @@ on_both_buses! {
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     refused_write_to_a_stopped_motor_leaves_it_holding
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
+    a_stopped_motor_is_waited_for_until_it_stands
     an_id_that_two_motors_have_is_not_changed
     motor_that_answers_late_is_not_taken_for_two
     motor_that_reports_its_errors_is_not_taken_for_two
@@ -247,7 +248,10 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
         let returned = refused.expect_err("it turns");
         let BringUpError::Turns { motor, speed } = returned else { panic!("{returned}") };
         assert!(motor == id(1) && (speed.dps() - 100.0).abs() < 5.0, "{returned}");
-        assert_eq!(returned.to_string(), format!("motor 1 turns at {speed}: stop it first"));
+        assert_eq!(
+            returned.to_string(),
+            format!("motor 1 turns at {speed}: stop it first, and wait until it stands")
+        );
         assert!(state(drive).output_on, "its shaft would run on");
     }
     assert_eq!(settings(), before, "nothing was written");
@@ -257,6 +261,25 @@ fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
     listen(runner, millis(500));
     runner.master().lift_stop_of(id(1));
     assert_eq!(bring_up::change_id(runner, id(1), id(9)), Ok(()));
+}
+
+fn a_stopped_motor_is_waited_for_until_it_stands<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    runner.ask(id(1), turn(100.0)).expect("it is there");
+    listen(runner, millis(500));
+    let begun = runner.now();
+    let returned =
+        bring_up::wait_until_stands(runner, id(1), millis(200)).expect_err("it turns on");
+    assert!(matches!(returned, BringUpError::Turns { .. }), "{returned}");
+    let took = runner.now() - begun;
+    assert!(took >= millis(200) && took < millis(250), "{took}");
+
+    let speed = || drive.with(|drive| drive.plant().output_speed_dps().abs());
+    assert!(runner.stop(id(1), StopKind::Hold));
+    assert!(speed() > 50.0, "confirmed, and at {} dps", speed());
+    assert_eq!(bring_up::wait_until_stands(runner, id(1), millis(1_000)), Ok(()));
+    assert!(speed() < 3.0, "{}", speed());
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {

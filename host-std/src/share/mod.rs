@@ -47,8 +47,9 @@
 //! [`bring_up`](myactuator_protocol_core::io::bring_up) needs a [`Runner`](myactuator_protocol_core::io::Runner), which
 //! a handle is not. A handle itself offers only brakes, watched moves, protection and restarts:
 //! [`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
-//! [`check_brake`](SharedBus::check_brake), [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and
-//! [`restart`](SharedBus::restart). Do the rest (first contact, zeroing, another id) on the master, and share it then.
+//! [`check_brake`](SharedBus::check_brake), [`wait_until_stands`](SharedBus::wait_until_stands),
+//! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and [`restart`](SharedBus::restart). Do the rest
+//! (first contact, zeroing, another id) on the master, and share it then.
 //!
 //! [`SharedBus::new`] takes any master; its calls wait for up to 1 ms more than those of [`SharedBus::open`]. If you
 //! open the port yourself, and so have its clock, [`with_wake`](SharedBus::with_wake) avoids that.
@@ -68,6 +69,25 @@
 //! # drop(bus);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! # A control loop in a thread
+//! A [`Watch`](myactuator_protocol_core::io::Watch) needs the master, and a handle has none. So a loop over handles has
+//! to look for what a watch would find: a set-point is accepted also for a motor that is cut off, or that has cut its
+//! output because of an error. Before each cycle end the loop, through its [`Guard`], if for any motor
+//!
+//! - [`latest`](SharedBus::latest) is older than 100 ms or so;
+//! - a [subscription](SharedBus::subscribe) has had
+//!   [`Restarted`](myactuator_protocol_core::master::Event::Restarted),
+//!   [`LostMaster`](myactuator_protocol_core::master::Event::LostMaster), or a
+//!   [`Report`](myactuator_protocol_core::master::Event::Report) of errors;
+//! - a thread that asks all motors for
+//!   [`ReadStatus1`](myactuator_protocol_core::command::ReadStatus1) and
+//!   [`ReadRunTime`](myactuator_protocol_core::command::ReadRunTime), several times a second, has found an error or has
+//!   no answer. With the run times the bus finds restarts.
+//!
+//! A command of another thread ends the loop, too, if it is of the kind that the motor is streamed: until it is
+//! answered, the motor's set-points are refused as
+//! [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
 //!
 //! # A motor that restarts
 //! Its turns may be lost, so moves and set-points are refused from then on. [Subscriptions](Subscription) get

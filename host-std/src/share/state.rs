@@ -18,7 +18,8 @@ const LONGEST_ROUND: Duration = Duration::from_secs(2);
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
-    /// The feedback: a reply to a set-point, to a broadcast, or a report.
+    /// The feedback: a reply to a set-point, to a broadcast, or a report. Its numbers, except those of motion mode:
+    /// `Feedback::try_from(reply)`.
     pub reply: AnyReply,
     /// When it was heard. If the machine was suspended since then, it is older than this says.
     pub heard_at: Instant,

@@ -11,7 +11,7 @@ use myactuator_protocol_core::io::bring_up::{
     BringUpError, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, Protection,
 };
 use myactuator_protocol_core::master::{MotorSet, StopKind};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{Command, MotorId};
 
@@ -81,6 +81,19 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
     pub fn release_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
         block_on(async_bring_up::release_brake(&mut Way::on(self, motor), motor))
+    }
+
+    /// Waits until a motor stands, after a stop for example, as
+    /// [`bring_up::wait_until_stands`](myactuator_protocol_core::io::bring_up::wait_until_stands) does.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn wait_until_stands(
+        &self,
+        motor: MotorId,
+        time: Duration,
+    ) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::wait_until_stands(&mut Way::on(self, motor), motor, time))
     }
 
     /// Locks the brake of a motor that stands, and waits until it has had the time to lock, as

@@ -20,6 +20,7 @@ use crate::io::outcome::{BringUpError, Identity, Protection};
 pub use crate::io::presence::{is_there, scan, wait_until_there};
 pub use crate::io::restart::restart;
 use crate::io::restart::restart_what_is_off;
+pub use crate::io::standing::wait_until_stands;
 use crate::io::standing::{check_not_stopped, check_stands};
 use crate::master::Failure;
 use crate::units::{EncoderPulses, Milliseconds};

@@ -84,6 +84,20 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
     block_on(task::wait_until_there(&mut Polled(runner), motor, time))
 }
 
+/// Waits until a motor stands: after a stop, which is confirmed while the shaft still turns, and before
+/// [`lock_brake`], [`zero_here`] or [`restart`], which refuse a motor that turns. Looks at it every 20 ms, until it
+/// stands at two looks in a row: a single look may find it swinging. A stop in force does not refuse this.
+///
+/// # Errors
+/// [`BringUpError::Turns`] if it turns after `time`; [`BringUpError::Call`].
+pub fn wait_until_stands<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<R::Error>> {
+    block_on(task::wait_until_stands(&mut Polled(runner), motor, time))
+}
+
 /// Makes the current position the zero, checks that it is kept, and returns the new offset. Stores the zero (0x64),
 /// restarts the drive (0x76), and reads offset and angle back.
 ///

@@ -43,7 +43,7 @@ pub enum BringUpError<E> {
     IdShared(MotorId),
     /// The motor turns, and would run on if it were switched off. Stop it, wait until it stands and lift that stop.
     /// Nothing was written, and it was not switched off.
-    #[error("motor {motor} turns at {speed}: stop it first")]
+    #[error("motor {motor} turns at {speed}: stop it first, and wait until it stands")]
     Turns {
         /// The motor.
         motor: MotorId,

@@ -6,10 +6,13 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::calls::Calls;
 use crate::io::outcome::BringUpError;
+use crate::time::Duration;
 use crate::units::CoarseSpeed;
 
 /// Up to this speed a shaft stands, degrees per second.
 const STANDS_DPS: u16 = 2;
+/// The time between two looks at a shaft that is to come to rest.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Refuses a motor for which a stop is in force: the stop may hold it, and it must not be switched off then.
 pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
@@ -29,6 +32,28 @@ pub(super) async fn check_stands<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     let speed = bus.ask(motor, ReadStatus2).await?.speed;
     if turns(speed) { Err(BringUpError::Turns { motor, speed }) } else { Ok(()) }
+}
+
+/// As [`bring_up::wait_until_stands`](crate::io::bring_up::wait_until_stands).
+pub async fn wait_until_stands<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<B::Error>> {
+    let deadline = bus.now() + time;
+    let mut stood = false;
+    loop {
+        let speed = bus.ask(motor, ReadStatus2).await?.speed;
+        if turns(speed) && bus.now() >= deadline {
+            return Err(BringUpError::Turns { motor, speed });
+        }
+        if stood && !turns(speed) {
+            return Ok(());
+        }
+        stood = !turns(speed);
+        let next = bus.now() + LOOK_EVERY;
+        bus.wait_until(next).await?;
+    }
 }
 
 /// Whether the motor runs something, so that it can stop or hold its shaft; `None` if it does not answer that.

@@ -32,7 +32,9 @@ pub enum Trouble {
         errors: ErrorFlags,
     },
     /// The drive has [restarted](Event::Restarted): its turns may be lost.
-    #[error("motor {0} has restarted, and its turns may be lost: read its angle, then resume it")]
+    #[error(
+        "motor {0} has restarted, and its turns may be lost: stop it, read its angle, then lift the stop and resume"
+    )]
     Restarted(MotorId),
     /// The drive has [lost its master](Event::LostMaster): it has cut its output, and locked its brake if it has one.
     #[error(

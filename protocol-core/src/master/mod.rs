@@ -341,7 +341,8 @@ impl<const N: usize> Master<N> {
         self.motor(motor).map(|motor| motor.health()).unwrap_or_default()
     }
 
-    /// The newest feedback of a motor's stream, and when it came; `None` before the first.
+    /// The newest feedback of a motor's stream, and when it came; `None` before the first. Its numbers, except those of
+    /// motion mode: `Feedback::try_from(reply)`.
     pub fn latest_feedback(&self, motor: MotorId) -> Option<(AnyReply, Instant)> {
         self.motor(motor)?.latest
     }

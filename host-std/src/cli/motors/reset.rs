@@ -137,7 +137,8 @@ mod tests {
         for message in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {
             let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
             assert!(
-                message.starts_with("motor 1 turns at 1") && message.ends_with("stop it first"),
+                message.starts_with("motor 1 turns at 1")
+                    && message.ends_with("stop it first, and wait until it stands"),
                 "{message}"
             );
             assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x76));
