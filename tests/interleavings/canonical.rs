@@ -4,12 +4,16 @@
 //! of the motors from the master's round.
 //!
 //! Fields that only count, name, or answer callers are left out: health, tickets, whether the newest set-point was
-//! dropped, and by when a drive has started. They can only change what is reported, with three exceptions that make no
-//! difference here:
+//! dropped, and by when a drive has started. Of when a motor was heard last, only whether that was after its last
+//! command. They can only change what is reported, with three exceptions that make no difference here:
 //!
 //! - When a motor was heard last matters after a second.
 //! - By when it has started matters if its run time is read.
 //! - Tickets show whether a request or a command to all was put first. So do the numbers of the calls in their data.
+//!
+//! What is longer ago than 1 ms, or 4 ms for a sent frame, counts as equally long ago, although the master may look back
+//! for a time-out and a late window, 8 ms here. So a few states pass for others that they are not. To search them too,
+//! set both to 8 ms: that takes several times as long.
 
 use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};
@@ -17,7 +21,7 @@ use std::hash::{BuildHasher, Hash, Hasher};
 use foldhash::quality::{FixedState, FoldHasher};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-/// If something is longer ago than this, it makes no difference how long, except for a sent frame.
+/// If something is longer ago than this, it counts as so long ago, except for a sent frame.
 const PAST: Duration = Duration::from_millis(1);
 /// The same for a sent frame.
 const LONG_AGO: Duration = Duration::from_millis(4);
@@ -60,6 +64,8 @@ enum Field {
     Sent,
     /// A sent frame that may come back.
     MayEcho,
+    /// When a motor was heard last.
+    Heard,
     Round,
     Pace,
     Misses,
@@ -76,6 +82,7 @@ enum Owner {
     EchoFilter,
     /// A frame that may come back.
     Sent,
+    Record,
     Line,
     Receiver,
     LeftOut,
@@ -91,15 +98,17 @@ impl Owner {
             "Sent" => Self::Sent,
             "Line" => Self::Line,
             "Receiver" => Self::Receiver,
-            "Record" | "Config" => Self::LeftOut,
+            "Record" => Self::Record,
+            "Config" => Self::LeftOut,
             _ => Self::Other,
         }
     }
 
     fn field(self, name: &str) -> Field {
         match (self, name) {
-            (Self::Broadcast | Self::Motor, "sent") => Field::Sent,
+            (Self::Broadcast | Self::Motor, "sent") | (Self::Master, "stop_to_all_sent") => Field::Sent,
             (Self::EchoFilter, "forgotten") | (Self::Sent, "at") => Field::MayEcho,
+            (Self::Record, "heard_at") => Field::Heard,
             (Self::Motor, "round") => Field::Round,
             (Self::Master, "pace") => Field::Pace,
             (Self::Motor, "misses") => Field::Misses,
@@ -107,7 +116,8 @@ impl Owner {
             | (Self::Motor, "ticket" | "is_newest_dropped" | "started_by")
             // Bytes that are already processed, or are no frame.
             | (Self::Line, "chunk" | "next" | "end" | "garbled")
-            | (Self::Receiver, "held") => Field::Ignored,
+            | (Self::Receiver, "held")
+            | (Self::Record, _) => Field::Ignored,
             _ => Field::Plain,
         }
     }
@@ -126,6 +136,8 @@ struct Sink {
     /// The structs around the next piece, the outermost first.
     owners: Vec<Owner>,
     pace: u32,
+    /// When the motor that is written was sent its last command.
+    sent: u64,
     rounds: [u32; 2],
     rounds_seen: usize,
 }
@@ -141,6 +153,7 @@ impl Sink {
             last_owner: Owner::Other,
             owners: Vec::new(),
             pace: 0,
+            sent: 0,
             rounds: [0; 2],
             rounds_seen: 0,
         }
@@ -153,6 +166,12 @@ impl Sink {
 
     fn number(&mut self, number: u64) {
         if std::mem::take(&mut self.is_instant) {
+            if self.field == Field::Heard {
+                return (number < self.sent).hash(&mut self.hasher);
+            }
+            if self.field == Field::Sent && self.owner() == Owner::Motor {
+                self.sent = number;
+            }
             let past = match self.field {
                 Field::Sent => LONG_AGO,
                 Field::MayEcho => NO_ECHO,
@@ -172,7 +191,9 @@ impl Sink {
             // None, one, or so many that the motor counts as silent.
             Field::Misses => number.min(2).hash(&mut self.hasher),
             Field::Ignored => {}
-            Field::Plain | Field::Sent | Field::MayEcho => number.hash(&mut self.hasher),
+            Field::Plain | Field::Sent | Field::MayEcho | Field::Heard => {
+                number.hash(&mut self.hasher)
+            }
         }
     }
 }
@@ -245,4 +266,26 @@ fn motors_that_have_missed_one_reply_and_two_differ() {
     assert_ne!(after(0), after(1));
     assert_ne!(after(1), after(2));
     assert_eq!(after(2), after(3));
+}
+
+#[test]
+fn whether_a_motor_was_heard_after_its_last_command_matters_and_not_how_long_after() {
+    #[derive(Debug)]
+    #[expect(dead_code, reason = "only printed")]
+    struct Record {
+        heard_at: Instant,
+        answered: u8,
+    }
+    #[derive(Debug)]
+    #[expect(dead_code, reason = "only printed")]
+    struct Motor {
+        sent: Instant,
+        health: Record,
+    }
+    let heard = |at, answered| {
+        let health = Record { heard_at: Instant::from_micros(at), answered };
+        number(&Motor { sent: Instant::from_micros(5), health }, Instant::from_micros(100), |_| {})
+    };
+    assert_ne!(heard(4, 0), heard(5, 0));
+    assert_eq!(heard(5, 0), heard(9, 3));
 }
