@@ -4,7 +4,7 @@ use std::fmt::Debug;
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::trace;
-use myactuator_host_std::sim::plant::Load;
+use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_host_std::sim::{BusFleet, Fleet};
 use myactuator_protocol_core::command::{
     ActiveReply, BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges,
@@ -38,6 +38,7 @@ on_both_buses! {
     refused_write_to_a_stopped_motor_leaves_it_holding
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
     a_stopped_motor_is_waited_for_until_it_stands
+    a_load_that_swings_does_not_stand_where_it_turns_back
     an_id_that_two_motors_have_is_not_changed
     motor_that_answers_late_is_not_taken_for_two
     motor_that_reports_its_errors_is_not_taken_for_two
@@ -280,6 +281,28 @@ fn a_stopped_motor_is_waited_for_until_it_stands<W: Wire>() {
     assert!(speed() > 50.0, "confirmed, and at {} dps", speed());
     assert_eq!(bring_up::wait_until_stands(runner, id(1), millis(1_000)), Ok(()));
     assert!(speed() < 3.0, "{}", speed());
+}
+
+/// A held load that swings by a degree or so, and a weight that comes up and falls back. The latter stands for 100 ms
+/// only where it then swings at no more than 13 degrees/s: ±2 degrees/s around its turn are 40 degrees/s², which is
+/// reached 4 degrees beside its lowest point.
+fn a_load_that_swings_does_not_stand_where_it_turns_back<W: Wire>() {
+    let heavy = Load { inertia_kg_m2: 10.0, ..Load::NONE };
+    let weight =
+        Load { arm: Some(Arm { mass_kg: 3.0, length_m: 1.0, down_deg: 0.0 }), ..Load::NONE };
+    for (load, kind, most) in [(weight, StopKind::Off, 13.0), (heavy, StopKind::Hold, 4.0)] {
+        let bus = W::drives(&Fleet::new(1).load(load)).unwrap();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        runner.ask(id(1), turn(90.0)).expect("it is there");
+        listen(runner, millis(1_500));
+        assert!(runner.stop(id(1), kind));
+        assert_eq!(bring_up::wait_until_stands(runner, id(1), millis(60_000)), Ok(()));
+        for _ in 0..100 {
+            listen(runner, millis(10));
+            let speed = drive.with(|drive| drive.plant().output_speed_dps());
+            assert!(speed.abs() < most, "{kind:?}: {speed}");
+        }
+    }
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {

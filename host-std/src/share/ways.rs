@@ -340,6 +340,21 @@ mod tests {
     }
 
     #[test]
+    fn stops_of_another_thread_do_not_end_the_wait_for_a_motor_to_stand() {
+        let (_fleet, bus) = shared(1);
+        bus.ask(id(1), ReadStatus1).unwrap();
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                // They drop the questions that are under way.
+                for _ in 0..500 {
+                    bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+                }
+            });
+            bus.wait_until_stands(id(1), Duration::from_secs(60)).unwrap();
+        });
+    }
+
+    #[test]
     fn motor_switched_off_by_another_thread_during_a_move_stays_off() {
         let (_fleet, bus) = shared(1);
         let ended = moved(&bus, id(1), || {

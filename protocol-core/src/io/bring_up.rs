@@ -86,7 +86,8 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 
 /// Waits until a motor stands: after a stop, which is confirmed while the shaft still turns, and before
 /// [`lock_brake`], [`zero_here`] or [`restart`], which refuse a motor that turns. Looks at it every 20 ms, until it
-/// stands at two looks in a row: a single look may find it swinging. A stop in force does not refuse this.
+/// stands at six looks in a row: a load that swings stands for a moment, too. A stop in force does not refuse this, and
+/// one that comes meanwhile does not end it.
 ///
 /// # Errors
 /// [`BringUpError::Turns`] if it turns after `time`; [`BringUpError::Call`].

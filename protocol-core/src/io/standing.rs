@@ -6,6 +6,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::calls::Calls;
 use crate::io::outcome::BringUpError;
+use crate::master::Failure;
 use crate::time::Duration;
 use crate::units::CoarseSpeed;
 
@@ -13,6 +14,9 @@ use crate::units::CoarseSpeed;
 const STANDS_DPS: u16 = 2;
 /// The time between two looks at a shaft that is to come to rest.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// At so many looks in a row a shaft stands that has come to rest: one that swings stands for a moment, too. A number
+/// and not a time, since a program that is suspended does not look.
+const STANDING_LOOKS: u8 = 6;
 
 /// Refuses a motor for which a stop is in force: the stop may hold it, and it must not be switched off then.
 pub(super) fn check_not_stopped<B: Calls<N>, const N: usize>(
@@ -41,18 +45,24 @@ pub async fn wait_until_stands<B: Calls<N>, const N: usize>(
     time: Duration,
 ) -> Result<(), BringUpError<B::Error>> {
     let deadline = bus.now() + time;
-    let mut stood = false;
+    let mut stood: u8 = 0;
     loop {
-        let speed = bus.ask(motor, ReadStatus2).await?.speed;
-        if turns(speed) && bus.now() >= deadline {
-            return Err(BringUpError::Turns { motor, speed });
+        let looked = bus.ask(motor, ReadStatus2).await;
+        let now = bus.now();
+        match looked.map(|reply| reply.speed) {
+            Ok(speed) if !turns(speed) => {
+                stood += 1;
+                if stood == STANDING_LOOKS {
+                    return Ok(());
+                }
+            }
+            Ok(speed) if now >= deadline => return Err(BringUpError::Turns { motor, speed }),
+            Ok(_) => stood = 0,
+            // Somebody has stopped the motor once more, which drops questions.
+            Err(CallError::Failed { failure: Failure::Stopped, .. }) if now < deadline => stood = 0,
+            Err(error) => return Err(error.into()),
         }
-        if stood && !turns(speed) {
-            return Ok(());
-        }
-        stood = !turns(speed);
-        let next = bus.now() + LOOK_EVERY;
-        bus.wait_until(next).await?;
+        bus.wait_until(now + LOOK_EVERY).await?;
     }
 }
 
