@@ -326,6 +326,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// **It lifts every stop, of any thread**, also one that came after your own, for example because somebody has
     /// pressed a button. Have one place in a program that lifts stops, and knows of all reasons for them.
     ///
+    /// **A control loop that puts no set-point between the stop and this does not notice the stop**, and moves the
+    /// motors on. Wait until its thread has left before you lift the stop.
+    ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {

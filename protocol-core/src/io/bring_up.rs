@@ -255,12 +255,14 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 /// - The functions here that wait speak to each motor every 20 ms, or as often as the bus carries: on RS485 to one
 ///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. A motor that is silent is
 ///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
-///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to).
+///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to). A control loop
+///   needs [more](crate::io::Watch).
 /// - On RS485 the others wait longer in two cases: for 100 ms if [`is_shared`] or [`change_id`] has no answer, and for
 ///   15 time-outs if a motor does not confirm the stop of a [move](move_to) that has failed.
 ///
 /// # Errors
-/// [`CallError`].
+/// [`CallError`]. As it writes to ROM, the command is sent only once. If no reply comes, the time may be set or not: call
+/// this again.
 pub fn protect<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -83,7 +83,8 @@ pub enum BringUpError<E> {
         /// The angle that it reads now.
         angle: Angle,
     },
-    /// The drive does not report release as its brake's last command.
+    /// The drive does not report release as its brake's last command: it may have restarted meanwhile, or have heard
+    /// nothing for longer than its protection (0xB3) allows.
     #[error("motor {motor}: the brake was told to release and says {says}")]
     BrakeNotReleased {
         /// The motor.

@@ -88,6 +88,12 @@ pub enum LoopError<E> {
 /// # }
 /// ```
 ///
+/// A drive that has lost its master (0xB3) is found by the frame (0xF1) in which it [says so](Event::LostMaster), which
+/// the manual does not know. Of a drive that does not send it, an outage shows only as silence. So let the protection be
+/// longer than the [longest silence](Self::longest_silence) and the
+/// [reply time-out](crate::master::Config::reply_timeout) together. Otherwise a drive may let go and lock its brake, and
+/// be heard again just in time: then the loop goes on against the brake.
+///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///
 /// Make a new watch when the set of motors changes, for example because one of them is stopped, and when the loop goes on

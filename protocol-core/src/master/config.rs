@@ -120,7 +120,9 @@ impl Config {
         }
     }
 
-    /// For RS485 at `bit_rate`: replies within 5 ms and the time of the reply's own bytes; three attempts.
+    /// For RS485 at `bit_rate`: replies within 5 ms and the time of the reply's own bytes; three attempts. `echo` says
+    /// whether the adapter hands back what is sent. If that is not known, `false`: then it is
+    /// [found out](crate::io::EchoFilter).
     pub const fn rs485(bit_rate: u32, echo: bool) -> Self {
         let rate = if bit_rate == 0 { 115_200 } else { bit_rate };
         // 13 bytes of 10 bits.
