@@ -135,6 +135,10 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// other thread move the motor. After the restart all threads are refused what moves it. Read its angle, since
     /// whole turns may be lost, [`resume`](Self::resume), and open its brake again.
     ///
+    /// **For 2 s nothing is sent to the motor, and a question of another thread to it waits for as long.** A thread that
+    /// keeps protected motors from letting go must leave this one out meanwhile: an `ask_together` that names it would
+    /// leave all others unasked, and their loads fall.
+    ///
     /// ```
     /// # use myactuator_host_std::open::BusAddress;
     /// # use myactuator_host_std::protocol::MotorId;
