@@ -11,9 +11,9 @@
 //! - By when it has started matters if its run time is read.
 //! - Tickets show whether a request or a command to all was put first. So do the numbers of the calls in their data.
 //!
-//! What is longer ago than 1 ms, or 4 ms for a sent frame, counts as equally long ago, although the master may look back
-//! for a time-out and a late window, 8 ms here. So a few states pass for others that they are not. To search them too,
-//! set both to 8 ms: that takes several times as long.
+//! What is longer ago than 1 ms, or 4 ms for a sent frame, counts as equally long ago, although the master may look
+//! back for a time-out and a late window, 8 ms here. So a few states pass for others that they are not. To search them
+//! too, set both to 8 ms: that takes several times as long.
 
 use std::fmt::{self, Debug, Write};
 use std::hash::{BuildHasher, Hash, Hasher};

@@ -168,8 +168,9 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77, 2.19.1).
 ///
 /// The motor holds its shaft from the beginning (0x81), so that no load falls. That also stops a motor that moves,
-/// whoever moves it. If the load has begun to turn the shaft, this waits until the motor has brought it to rest, and locks
-/// the brake again if that takes more than half a second. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
+/// whoever moves it. If the load has begun to turn the shaft, this waits until the motor has brought it to rest, and
+/// locks the brake again if that takes more than half a second. To let the shaft turn freely, send
+/// [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
 /// Speed and position commands open a brake on their own, and hold.
 ///
