@@ -1,5 +1,7 @@
 //! From a bouncing contact to presses that count.
 
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 /// A contact that has not changed for this long has stopped bouncing.
@@ -9,7 +11,7 @@ const LONG: Duration = Duration::from_secs(1);
 
 /// A press this soon after the motors were stopped by something else was meant to stop them.
 const MEANT_TO_STOP: Duration = Duration::from_secs(1);
-/// A motor that lets go again within this time keeps no more presses from counting.
+/// A motor that lets go again keeps no more presses from counting, until none has let go for this long.
 const AGAIN: Duration = Duration::from_secs(3);
 
 /// How a button was pressed.
@@ -44,15 +46,18 @@ pub(super) struct Button {
     short_from: Instant,
     /// A long press that begins before this does not.
     long_from: Instant,
-    /// When a motor was last [caught](Self::caught).
-    caught_at: Option<Instant>,
+    /// Motors that were [caught](Self::caught).
+    caught: MotorSet,
+    /// When the last of them was.
+    caught_at: Instant,
 }
 
 impl Button {
     /// A button that is down at the start counts only after it was up, so that a jammed button starts nothing.
     pub(super) const fn new(now: Instant) -> Self {
         let contact = Contact::Closed(None);
-        Self { contact, short_from: now, long_from: now, caught_at: None }
+        let caught = MotorSet::EMPTY;
+        Self { contact, short_from: now, long_from: now, caught, caught_at: now }
     }
 
     /// Something else has stopped the motors. Whoever presses within a second meant to do that, so a short press does
@@ -68,13 +73,17 @@ impl Button {
         self.long_from = now + MEANT_TO_STOP;
     }
 
-    /// A motor that had let go is told to hold again: its shaft may have turned. If that happens again and again, the
-    /// button is not taken away for ever.
-    pub(super) fn caught(&mut self, now: Instant) {
-        if self.caught_at.is_none_or(|at| now - at >= AGAIN) {
+    /// A motor that had let go is told to hold again: its shaft may have turned. If that happens to one again and again,
+    /// the button is not taken away for ever.
+    pub(super) fn caught(&mut self, motor: MotorId, now: Instant) {
+        if now - self.caught_at >= AGAIN {
+            self.caught = MotorSet::EMPTY;
+        }
+        if !self.caught.contains(motor) {
             self.fell(now);
         }
-        self.caught_at = Some(now);
+        self.caught.insert(motor);
+        self.caught_at = now;
     }
 
     /// Reports nothing more until the button was up.

@@ -168,7 +168,7 @@ impl<const N: usize> App<N> {
         }
         // A motor that never answers one of the questions comes here again and again, and has not let go.
         if was_gone {
-            self.button.caught(at.now);
+            self.button.caught(motor, at.now);
             self.trouble(Trouble::Restarted { motor }, at);
         }
     }

@@ -23,6 +23,7 @@ on_both_buses! {
     brakes_that_slip_at_the_same_time_are_all_seen
     a_brake_that_was_told_to_lock_is_watched_whatever_it_says
     a_motor_that_lets_go_again_and_again_leaves_the_button_alive
+    a_press_after_a_second_motor_has_let_go_starts_nothing
 }
 
 /// A bus on which motor 3 answers otherwise.
@@ -250,5 +251,21 @@ fn a_motor_that_lets_go_again_and_again_leaves_the_button_alive<B: Moved>() {
         }
         let told = &firmware.panel.reports;
         assert!(told.contains(&Report::State(state)), "{pressed:?}: {told:?}");
+    }
+}
+
+/// A person who sees the second one fall presses to stop it.
+fn a_press_after_a_second_motor_has_let_go_starts_nothing<B: Moved>() {
+    for (between_ms, pressed_ms) in [(1_500, 50), (2_500, 50), (1_500, 1_200)] {
+        let bus = loaded::<B>(3, false);
+        let (mut firmware, _) = before_shutdown(&bus);
+        lets_go(&mut firmware, &bus.drives[0], true, 0);
+        firmware.run_for(millis(between_ms));
+        lets_go(&mut firmware, &bus.drives[1], true, 0);
+        firmware.run_for(millis(300));
+        assert!(!is_off(&bus.drives[1]));
+        firmware.press(millis(pressed_ms));
+        firmware.stays_stopped();
+        assert_eq!(firmware.panel.reports, [], "{between_ms} {pressed_ms} ms");
     }
 }
