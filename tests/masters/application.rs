@@ -7,6 +7,7 @@ mod panel;
 mod refused;
 mod shutdown;
 mod states;
+mod watched;
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;

@@ -109,8 +109,9 @@ impl Belief {
 pub(super) struct Beliefs([Belief; MotorId::COUNT]);
 
 impl Beliefs {
+    /// An earlier run of the firmware may have locked brakes.
     pub(super) const fn new() -> Self {
-        Self([Belief { contact: Contact::Obeys, shaft: Shaft::Held }; MotorId::COUNT])
+        Self([Belief { contact: Contact::Obeys, shaft: Shaft::Watched }; MotorId::COUNT])
     }
 
     /// Takes note of what is seen of a motor. Returns what was believed before, and what is now.

@@ -1,9 +1,7 @@
 //! The brakes: which are locked, and which are to be since their motors have reported an error.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{
-    BrakeCommand, Command, LockBrake, ReadStatus1, ReleaseBrake,
-};
+use myactuator_protocol_core::command::{BrakeCommand, Command, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
 
 use super::Setup;
@@ -52,7 +50,14 @@ impl Locks {
         self.told = self.wanted.iter().find_map(ask);
         if let Some(told) = self.told {
             self.wanted.remove(told.motor());
+            self.locked.insert(told.motor());
         }
+    }
+
+    /// The button was pressed to shut down. These brakes are told to lock; the answers may be lost.
+    pub(super) fn shut_down(&mut self, motors: MotorSet) {
+        self.forget_errors();
+        self.locked = self.locked.with(motors);
     }
 
     /// Those of these motors whose brakes are locked.
@@ -65,7 +70,7 @@ impl Locks {
         if let Event::Reply { ticket, data, .. } = event {
             let is_locked = ReadStatus1::decode_reply(data)
                 .is_ok_and(|status| status.brake == BrakeCommand::LOCK);
-            if is_locked || LockBrake::decode_reply(data).is_ok() {
+            if is_locked {
                 self.locked.insert(ticket.motor());
             } else if ReleaseBrake::decode_reply(data).is_ok() {
                 self.locked.remove(ticket.motor());

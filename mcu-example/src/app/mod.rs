@@ -160,7 +160,7 @@ impl<const N: usize> App<N> {
                 self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
             }
             (State::Stopped { .. }, Press::Long) => {
-                self.locks.forget_errors();
+                self.locks.shut_down(self.expected);
                 self.beliefs.see_all(self.expected, Seen::ShutDown);
                 let script = Script::new(Part::Lock, self.expected, at.now);
                 self.enter(State::ShuttingDown { script, turning: MotorSet::EMPTY }, at);

@@ -70,6 +70,11 @@ impl<const N: usize> App<N> {
                 self.beliefs.see_all(self.expected, Seen::MayTurn);
                 self.stop(self.setup.stop, at);
             }
+            // Brakes may be opening, and loads sink a little.
+            (State::Preparing(_), _) => {
+                self.watch.wait(at.now + BRAKE_MOVES);
+                self.stop(self.setup.stop, at);
+            }
             _ => self.stop(self.setup.stop, at),
         }
     }

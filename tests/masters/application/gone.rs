@@ -55,7 +55,7 @@ impl<R: Runner<8>, F: Fn(Data) -> Option<Data>> Runner<8> for Altered<'_, R, F> 
     }
 }
 
-fn run_altered<B: Moved>(
+pub(super) fn run_altered<B: Moved>(
     firmware: &mut Firmware<'_, B>,
     ms: u64,
     altered: impl Fn(Data) -> Option<Data>,

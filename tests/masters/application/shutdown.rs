@@ -27,6 +27,7 @@ on_both_buses! {
     a_press_that_is_under_way_when_something_falls_starts_nothing
     a_motor_that_is_not_asked_keeps_no_other_from_being_held_again
     a_product_that_stops_by_switching_off_holds_nothing
+    an_error_in_a_shutdown_leaves_the_others_shut_down
 }
 
 /// Holds the button until the motors are being shut down.
@@ -294,4 +295,18 @@ fn a_product_that_stops_by_switching_off_holds_nothing<B: Moved>() {
     firmware.press(millis(50));
     firmware.run_for(millis(100));
     assert!(bus.drives.iter().all(is_off));
+}
+
+/// It has cut its own output, and its brake is told to lock.
+fn an_error_in_a_shutdown_leaves_the_others_shut_down<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    let flags = ErrorFlags::STALL;
+    bus.drives[2].with(|drive| drive.raise_fault(flags));
+    firmware.run_for(millis(1_000));
+    assert_eq!(firmware.troubles(), [Trouble::Errors { motor: id(3), flags }]);
+    assert!(bus.drives.iter().all(is_off));
+    assert!(bus.drives.iter().all(|drive| state(drive).brake == BrakeCommand::LOCK));
 }

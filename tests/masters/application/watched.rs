@@ -1,0 +1,123 @@
+//! Shafts that are asked again and again whether they stand, and those that are not.
+
+use myactuator_host_std::sim::DriveHandle;
+use myactuator_mcu_example::{Report, StateName, Trouble};
+use myactuator_protocol_core::Data;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis};
+
+use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, stays_held};
+use super::gone::run_altered;
+use super::shutdown::shut_down;
+use super::{Firmware, Moved, Panel, angle_deg};
+
+on_both_buses! {
+    a_brake_that_an_earlier_firmware_has_locked_is_watched
+    a_brake_is_watched_although_its_answer_was_lost
+    a_motor_that_is_held_again_and_restarts_is_held_again
+    a_load_that_sinks_until_its_brake_has_locked_is_no_slip
+    a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
+}
+
+fn slips(drive: &DriveHandle) {
+    drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+}
+
+/// The board restarted during a shutdown.
+fn a_brake_that_an_earlier_firmware_has_locked_is_watched<B: Moved>() {
+    for after_ms in [25, 150, 300] {
+        let bus = loaded::<B>(8, true);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(after_ms));
+        drop(firmware);
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        firmware.run_for(millis(1_500));
+        slips(&bus.drives[1]);
+        firmware.run_for(millis(1_000));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{after_ms} ms: {fallen:?}");
+        assert!(!is_off(&bus.drives[1]));
+        // It is asked every 90 ms, and told to hold within 100 ms: 28 degrees without friction.
+        assert!(fallen.iter().all(|&fallen| fallen < 28.0), "{after_ms} ms: {fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
+}
+
+/// The brake has locked, and the motor does not report what its brake does either.
+fn a_brake_is_watched_although_its_answer_was_lost<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, before_deg) = before_shutdown(&bus);
+    let altered = |mut data: Data| {
+        if data[0] == 0x9A {
+            data[3] = 1;
+        }
+        (data[0] != 0x78).then_some(data)
+    };
+    shut_down(&mut firmware);
+    run_altered(&mut firmware, 1_500, altered);
+    assert_eq!(firmware.troubles(), [Trouble::Silent { motor: id(3) }]);
+    firmware.forget();
+    slips(&bus.drives[2]);
+    run_altered(&mut firmware, 1_000, altered);
+    assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(3) }]);
+    assert!(!is_off(&bus.drives[2]));
+    assert!(fallen_deg(&bus, &before_deg)[2] < 15.0, "{:?}", fallen_deg(&bus, &before_deg));
+    stays_held(&mut firmware, &bus);
+}
+
+/// Its brake slipped in a shutdown, so its motor holds it. Once that restarts, only the same brake does.
+fn a_motor_that_is_held_again_and_restarts_is_held_again<B: Moved>() {
+    for is_restart in [false, true] {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        slips(&bus.drives[1]);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(1_000));
+        assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(2) }]);
+        bus.drives[1].with(|drive| drive.plant_mut().force_brake(None));
+        lets_go(&mut firmware, &bus.drives[1], is_restart, 600);
+        firmware.run_for(millis(1_000));
+        firmware.forget();
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        slips(&bus.drives[1]);
+        firmware.run_for(millis(1_000));
+        let fallen = fallen_deg(&bus, &before_deg);
+        assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(2) }], "{fallen:?}");
+        assert!(!is_off(&bus.drives[1]));
+        // All three are watched.
+        assert!(fallen.iter().all(|&fallen| fallen < 23.0), "{fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
+}
+
+/// A motor that restarts lets go at once, and its brake is slow. The same after it has run again.
+fn a_load_that_sinks_until_its_brake_has_locked_is_no_slip<B: Moved>() {
+    for phase_ms in [0, 7, 14, 21] {
+        let bus = loaded::<B>(1, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        firmware.run_for(millis(phase_ms));
+        for _ in 0..2 {
+            lets_go(&mut firmware, &bus.drives[0], true, 0);
+            firmware.run_for(millis(1_500));
+            assert_eq!(firmware.troubles(), [], "{phase_ms} ms");
+            firmware.press(millis(50));
+            firmware.run_until(Report::State(StateName::Running), millis(3_000));
+            firmware.press(millis(50));
+            firmware.run_for(millis(1_500));
+            firmware.forget();
+        }
+    }
+}
+
+/// A person who opens a brake by hand has shut down before. No motor switches itself on.
+fn a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(1_000));
+    slips(&bus.drives[1]);
+    firmware.run_for(millis(1_000));
+    assert_eq!(firmware.troubles(), []);
+    assert!(bus.drives.iter().all(is_off));
+}
