@@ -207,6 +207,8 @@ fn brakes_that_slip_at_the_same_time_are_all_seen<B: Moved>() {
         let case = format!("{slips_after_ms} ms: {fallen:?}");
         assert!(!slipping.iter().any(is_off), "{case}");
         assert_eq!(told_by(&firmware, |it| matches!(it, Report::Trouble(_))), 3, "{case}");
+        let looking = Report::State(StateName::Looking);
+        assert_eq!(count(&firmware.panel.reports, looking), 1, "{case}");
         // Each of the three is asked every 36 ms. After that all are checked, and told to hold within 12 more commands:
         // 15 degrees without friction in 145 ms.
         assert!(fallen.iter().all(|&fallen| fallen < 15.0), "{case}");

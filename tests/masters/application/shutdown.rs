@@ -28,6 +28,7 @@ on_both_buses! {
     a_motor_that_is_not_asked_keeps_no_other_from_being_held_again
     a_product_that_stops_by_switching_off_holds_nothing
     an_error_in_a_shutdown_leaves_the_others_shut_down
+    an_error_of_another_motor_keeps_none_that_turns_from_being_held
 }
 
 /// Holds the button until the motors are being shut down.
@@ -309,4 +310,23 @@ fn an_error_in_a_shutdown_leaves_the_others_shut_down<B: Moved>() {
     assert_eq!(firmware.troubles(), [Trouble::Errors { motor: id(3), flags }]);
     assert!(bus.drives.iter().all(is_off));
     assert!(bus.drives.iter().all(|drive| state(drive).brake == BrakeCommand::LOCK));
+}
+
+/// Before and while the motor that turns is told to hold again.
+fn an_error_of_another_motor_keeps_none_that_turns_from_being_held<B: Moved>() {
+    for after_ms in 0..12 {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        break_off(&mut firmware);
+        firmware.run_until(Report::Trouble(Trouble::Turns { motor: id(2) }), millis(500));
+        firmware.run_for(millis(after_ms));
+        bus.drives[2].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        firmware.run_for(millis(1_000));
+        let fallen = fallen_deg(&bus, &before_deg);
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < 20.0, "{after_ms} ms: {fallen:?}");
+        firmware.stays_stopped();
+    }
 }

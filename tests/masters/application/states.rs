@@ -17,6 +17,7 @@ on_both_buses! {
     a_press_in_any_state_stops_and_starts_nothing
     a_bus_error_in_any_state_stops
     a_press_right_after_a_stop_by_something_else_starts_nothing
+    a_press_right_after_a_stop_by_the_button_starts
     a_press_right_after_a_restart_by_the_watchdog_starts_nothing
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     a_motor_that_restarted_before_it_was_looked_for_runs
@@ -97,6 +98,18 @@ fn a_press_right_after_a_stop_by_something_else_starts_nothing<B: Moved>() {
         firmware.press(millis(50));
         firmware.run_until(Report::State(StateName::Running), millis(3_000));
     }
+}
+
+/// Whoever presses twice means to start.
+fn a_press_right_after_a_stop_by_the_button_starts<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    firmware.press(millis(50));
+    firmware.run_for(millis(200));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
 
 /// The motors may have been running until the watchdog restarted the firmware.

@@ -15,6 +15,8 @@ on_both_buses! {
     a_brake_that_an_earlier_firmware_has_locked_is_watched
     a_brake_is_watched_although_its_answer_was_lost
     a_motor_that_is_held_again_and_restarts_is_held_again
+    after_a_shutdown_in_which_one_turned_the_others_are_watched
+    a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
 }
@@ -88,6 +90,45 @@ fn a_motor_that_is_held_again_and_restarts_is_held_again<B: Moved>() {
         // All three are watched.
         assert!(fallen.iter().all(|&fallen| fallen < 23.0), "{fallen:?}");
         stays_held(&mut firmware, &bus);
+    }
+}
+
+/// All hold again, and the brakes of the others have locked.
+fn after_a_shutdown_in_which_one_turned_the_others_are_watched<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    slips(&bus.drives[1]);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(2_000));
+    assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(2) }]);
+    firmware.forget();
+    let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+    slips(&bus.drives[0]);
+    firmware.run_for(millis(1_000));
+    let fallen = fallen_deg(&bus, &before_deg);
+    assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(1) }], "{fallen:?}");
+    assert!(!is_off(&bus.drives[0]));
+    assert!(fallen.iter().all(|&fallen| fallen < 23.0), "{fallen:?}");
+    stays_held(&mut firmware, &bus);
+}
+
+/// However long it is, in a shutdown and where one was broken off.
+fn a_press_after_a_shaft_has_turned_starts_nothing<B: Moved>() {
+    for (is_broken_off, pressed_ms) in [(false, 50), (false, 1_200), (true, 50), (true, 1_200)] {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        slips(&bus.drives[1]);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        if is_broken_off {
+            firmware.press(millis(30));
+        }
+        firmware.run_until(Report::Trouble(Trouble::Turns { motor: id(2) }), millis(500));
+        firmware.run_for(millis(900));
+        firmware.forget();
+        firmware.press(millis(pressed_ms));
+        firmware.stays_stopped();
+        assert_eq!(firmware.panel.reports, [], "{is_broken_off} {pressed_ms} ms");
     }
 }
 
