@@ -308,6 +308,8 @@ fn an_error_in_a_shutdown_leaves_the_others_shut_down<B: Moved>() {
     bus.drives[2].with(|drive| drive.raise_fault(flags));
     firmware.run_for(millis(1_000));
     assert_eq!(firmware.troubles(), [Trouble::Errors { motor: id(3), flags }]);
+    let told = &firmware.panel.reports;
+    assert!(!told.contains(&Report::State(StateName::Looking)), "broken off: {told:?}");
     assert!(bus.drives.iter().all(is_off));
     assert!(bus.drives.iter().all(|drive| state(drive).brake == BrakeCommand::LOCK));
 }
