@@ -19,7 +19,7 @@ impl<const N: usize> App<N> {
         self.locks.note(event);
         if let Some((_, Answer::Turns)) = self.watch.take(event) {
             // What makes one brake slip may make others slip.
-            self.beliefs.see_all(self.watched(), Seen::MayTurn);
+            self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
         }
         let (motor, answer) = if let Some((motor, answer)) = self.rounds.take(event) {
             self.take_turn(motor, answer, at);

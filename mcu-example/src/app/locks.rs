@@ -2,7 +2,9 @@
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, Command, ReadStatus1, ReleaseBrake};
+use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
+use myactuator_protocol_core::time::Instant;
 
 use super::Setup;
 use super::script::Question;
@@ -13,6 +15,8 @@ pub(super) struct Locks {
     /// Brakes that were told to lock, or have said that they are locked, and were not told to open since. Nothing else
     /// opens one, whatever it says: some firmware does not report what its brake does.
     locked: MotorSet,
+    /// Brakes that may be moving until then.
+    moving: (MotorSet, Instant),
     wanted: MotorSet,
     /// Motors that have reported an error since the button was pressed.
     failed: MotorSet,
@@ -23,7 +27,7 @@ pub(super) struct Locks {
 impl Locks {
     pub(super) const fn new() -> Self {
         let [locked, wanted, failed] = [MotorSet::EMPTY; 3];
-        Self { locked, wanted, failed, told: None }
+        Self { locked, moving: (MotorSet::EMPTY, Instant::ZERO), wanted, failed, told: None }
     }
 
     /// A motor reports an error. It confirms a stop and holds nothing, and its brake may have been told to open. So its
@@ -60,9 +64,16 @@ impl Locks {
         self.locked = self.locked.with(motors);
     }
 
-    /// Those of these motors whose brakes are locked.
-    pub(super) const fn among(&self, motors: MotorSet) -> MotorSet {
-        motors.without(motors.without(self.locked))
+    /// These brakes may begin to move now: where a load sinks meanwhile, that is no slip.
+    pub(super) fn move_now(&mut self, motors: MotorSet, now: Instant) {
+        let others = if now < self.moving.1 { self.moving.0 } else { MotorSet::EMPTY };
+        self.moving = (others.with(motors), now + BRAKE_MOVES);
+    }
+
+    /// Those of these motors whose brakes have locked.
+    pub(super) fn among(&self, motors: MotorSet, now: Instant) -> MotorSet {
+        let locked = motors.without(motors.without(self.locked));
+        if now < self.moving.1 { locked.without(self.moving.0) } else { locked }
     }
 
     /// Takes note of an outcome. If a stop has dropped the command, it is sent again after the stop.

@@ -26,11 +26,6 @@ impl Rounds {
         Self { questions, turn: 0, asked: None, next: now }
     }
 
-    /// Asks nothing before this.
-    pub(super) fn wait(&mut self, until: Instant) {
-        self.next = self.next.max(until);
-    }
-
     /// Whether it is time for the next question, and none is in flight.
     pub(super) fn is_due(&self, now: Instant) -> bool {
         self.asked.is_none() && now >= self.next

@@ -1,7 +1,6 @@
 //! How the motors are stopped, and what follows a stop.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -70,9 +69,9 @@ impl<const N: usize> App<N> {
                 self.beliefs.see_all(self.expected, Seen::MayTurn);
                 self.stop(self.setup.stop, at);
             }
-            // Brakes may be opening, and loads sink a little.
+            // Brakes may be opening.
             (State::Preparing(_), _) => {
-                self.watch.wait(at.now + BRAKE_MOVES);
+                self.locks.move_now(self.expected, at.now);
                 self.stop(self.setup.stop, at);
             }
             _ => self.stop(self.setup.stop, at),
@@ -96,7 +95,7 @@ impl<const N: usize> App<N> {
     pub(super) fn see(&mut self, motor: MotorId, seen: Seen, now: Instant) {
         let [before, after] = self.beliefs.see(motor, seen);
         if after.is_watched() && !before.is_watched() {
-            self.watch.wait(now + BRAKE_MOVES);
+            self.locks.move_now(motor.into(), now);
         }
     }
 
@@ -132,7 +131,7 @@ impl<const N: usize> App<N> {
                 }
                 self.look(kind, unconfirmed, at);
                 if self.watch.is_due(at.now) {
-                    self.watch.ask(self.watched(), &self.setup, at.master, at.now);
+                    self.watch.ask(self.watched(at.now), &self.setup, at.master, at.now);
                 }
             }
             _ => {}
@@ -179,11 +178,11 @@ impl<const N: usize> App<N> {
     }
 
     /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
-    pub(super) fn watched(&self) -> MotorSet {
+    pub(super) fn watched(&self, now: Instant) -> MotorSet {
         match self.state {
             State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => {
                 let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
-                self.locks.among(there.without(unconfirmed))
+                self.locks.among(there.without(unconfirmed), now)
             }
             // Their shafts are checked, or nothing holds them, or they move.
             _ => MotorSet::EMPTY,

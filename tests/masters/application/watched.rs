@@ -16,6 +16,7 @@ on_both_buses! {
     a_brake_is_watched_although_its_answer_was_lost
     a_motor_that_is_held_again_and_restarts_is_held_again
     after_a_shutdown_in_which_one_turned_the_others_are_watched
+    a_slip_while_another_motor_lets_go_is_seen_at_once
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
@@ -110,6 +111,28 @@ fn after_a_shutdown_in_which_one_turned_the_others_are_watched<B: Moved>() {
     assert!(!is_off(&bus.drives[0]));
     assert!(fallen.iter().all(|&fallen| fallen < 23.0), "{fallen:?}");
     stays_held(&mut firmware, &bus);
+}
+
+/// The brake of the other one has not locked yet. That is no reason to look away from this one.
+fn a_slip_while_another_motor_lets_go_is_seen_at_once<B: Moved>() {
+    for after_ms in [0, 60, 100, 140] {
+        let bus = loaded::<B>(2, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        lets_go(&mut firmware, &bus.drives[0], true, 0);
+        firmware.run_for(millis(2_000));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        lets_go(&mut firmware, &bus.drives[1], true, 0);
+        firmware.run_for(millis(after_ms));
+        slips(&bus.drives[0]);
+        firmware.run_for(millis(1_000));
+        let fallen = fallen_deg(&bus, &before_deg);
+        assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(1) }], "{after_ms} ms");
+        assert!(!is_off(&bus.drives[0]));
+        // As if nothing else happened: 7 degrees, or 23 where the line may be occupied for 80 ms.
+        let most_deg = if B::NAME == "CAN" { 8.0 } else { 23.0 };
+        assert!(fallen[0] < most_deg && fallen[1] < 16.0, "{after_ms} ms: {fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
 }
 
 /// However long it is, in a shutdown and where one was broken off.
