@@ -23,7 +23,6 @@ on_both_buses! {
     no_load_falls_where_an_error_comes_while_brakes_open
     no_brake_is_opened_if_its_motor_has_an_error
     an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped
-    a_brake_that_missed_the_command_to_lock_is_told_again
     no_load_falls_in_a_shutdown
     a_motor_that_misses_the_command_to_lock_its_brake_goes_on_holding
     what_would_fall_in_a_shutdown_is_held_again
@@ -136,8 +135,11 @@ fn stays_locked<B: Moved>(firmware: &mut Firmware<'_, B>, drive: &DriveHandle) {
     }
 }
 
-/// Motor 2 reports an error on its own.
-fn reports_an_error<B: Moved>(firmware: &mut Firmware<'_, B>) {
+fn an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let mut firmware = Firmware::running(&bus);
+    firmware.press(millis(50));
+    firmware.run_for(millis(500));
     let failed = Status1 {
         temperature: Temperature::from_raw(40),
         mosfet_temperature: Temperature::from_raw(40),
@@ -145,18 +147,10 @@ fn reports_an_error<B: Moved>(firmware: &mut Firmware<'_, B>) {
         voltage: Voltage::from_raw(480),
         errors: ErrorFlags::STALL,
     };
-    let Firmware { runner, app, panel, .. } = firmware;
+    let Firmware { runner, app, panel, .. } = &mut firmware;
     let at = &mut Moment { now: runner.now(), master: runner.master(), board: panel };
     let report = Event::Report { motor: id(2), reply: AnyReply::ReadStatus1(failed) };
     app.handle_event(&report, at);
-}
-
-fn an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped<B: Moved>() {
-    let bus = loaded::<B>(2, true);
-    let mut firmware = Firmware::running(&bus);
-    firmware.press(millis(50));
-    firmware.run_for(millis(500));
-    reports_an_error(&mut firmware);
     firmware.run_for(millis(100));
     let brakes = bus.drives.iter().map(|drive| state(drive).brake);
     assert_eq!(brakes.collect::<Vec<_>>(), [BrakeCommand::RELEASE, BrakeCommand::LOCK]);
@@ -169,21 +163,6 @@ fn an_error_is_reported_and_locks_the_brake_also_while_all_are_stopped<B: Moved>
     firmware.press(millis(50));
     firmware.run_for(millis(500));
     assert_eq!(firmware.troubles(), [Trouble::Button, trouble(2), trouble(1), trouble(1)]);
-}
-
-/// The motor has reported its error and is cut off before it is told.
-fn a_brake_that_missed_the_command_to_lock_is_told_again<B: Moved>() {
-    let bus = loaded::<B>(2, true);
-    let (mut firmware, _) = before_shutdown(&bus);
-    let drive = &bus.drives[1];
-    unplug(&bus, drive);
-    reports_an_error(&mut firmware);
-    firmware.run_for(millis(150));
-    assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
-    drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
-    bus.world.mend(drive.station());
-    firmware.run_for(millis(300));
-    assert_eq!(state(drive).brake, BrakeCommand::LOCK);
 }
 
 /// A firmware whose motors have run and hold, ready for a shutdown, and the angles of the shafts.
