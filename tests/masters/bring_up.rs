@@ -8,13 +8,13 @@ use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_host_std::sim::{BusFleet, Fleet};
 use myactuator_protocol_core::command::{
     ActiveReply, BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges,
-    ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1, ReleaseBrake, ReportedCommand,
-    Stop, Switch,
+    ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunTime, ReadStatus1, ReleaseBrake,
+    ReportedCommand, Reset, Stop, Switch,
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
 use myactuator_protocol_core::wire::rs485::Receiver;
@@ -31,6 +31,7 @@ on_both_buses! {
     identify_reads_model_status_and_run_time
     identify_of_a_v4_4_motor_returns_no_model
     a_motor_is_waited_for_after_its_power_was_cycled
+    a_restarting_motor_is_waited_for_though_another_question_waits_for_it
     a_zero_is_kept_over_a_power_cycle
     a_zero_is_kept_by_a_drive_that_writes_slowly
     one_of_several_gets_another_id_by_function_5
@@ -155,6 +156,17 @@ fn a_motor_is_waited_for_after_its_power_was_cycled<W: Wire>() {
     assert!(took >= Quirks::SLOW_BOOT, "{took}");
     assert!(took < Quirks::SLOW_BOOT + millis(150), "{took}");
     assert!(runner.ask(id(1), ReadStatus1).is_ok());
+}
+
+/// Another thread has asked it something, which is sent only when it has had the time to restart.
+fn a_restarting_motor_is_waited_for_though_another_question_waits_for_it<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let config = Config { restart_time: millis(3_000), ..W::CONFIG };
+    let (mut runner, _) = W::runner::<8>(&bus.world, config);
+    runner.ask(id(1), Reset).expect("it is sent");
+    let _ = runner.master().request(id(1), ReadRunTime).expect("it has a place");
+    let there = bring_up::wait_until_there(&mut runner, id(1), Duration::from_secs(5));
+    assert_eq!(there, Ok(()));
 }
 
 fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {

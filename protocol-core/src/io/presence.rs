@@ -161,13 +161,18 @@ pub async fn wait_until_there<B: Calls<N>, const N: usize>(
     time: Duration,
 ) -> Result<(), BringUpError<B::Error>> {
     let deadline = bus.now() + time;
-    while !bus.is_there(motor).await? {
+    loop {
+        let answer = bus.is_there(motor).await;
         let now = bus.now();
-        if now >= deadline {
-            return Err(BringUpError::NotThere(motor));
+        match answer {
+            Ok(true) => return Ok(()),
+            Ok(false) if now >= deadline => return Err(BringUpError::NotThere(motor)),
+            Ok(false) => {}
+            // Another question to it waits until it has had the time to restart.
+            Err(CallError::Refused { refusal: RequestError::Busy, .. }) if now < deadline => {}
+            Err(error) => return Err(error.into()),
         }
         // On a bus that takes nothing the outcome comes at once.
         bus.wait_until(now + SPOKEN_TO_EVERY).await?;
     }
-    Ok(())
 }
