@@ -17,9 +17,13 @@ impl<const N: usize> App<N> {
     #[inline(never)]
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         self.locks.note(event);
-        if let Some((_, Answer::Turns)) = self.watch.take(event) {
+        match self.watch.take(event) {
             // What makes one brake slip may make others slip.
-            self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
+            Some((_, Answer::Turns)) => {
+                self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
+            }
+            Some((motor, answer)) => self.take_check(motor, answer, at),
+            None => {}
         }
         let (motor, answer) = if let Some((motor, answer)) = self.rounds.take(event) {
             self.take_turn(motor, answer, at);
@@ -52,12 +56,12 @@ impl<const N: usize> App<N> {
         }
     }
 
-    /// What an answer, or none, shows of a motor whose shaft is checked, or which is told to hold it.
+    /// What an answer, or none, shows of a motor whose shaft is checked or watched, or which is told to hold it.
     fn take_check(&mut self, motor: MotorId, answer: Answer, at: &mut Moment<'_, N, impl Board>) {
         match answer {
             Answer::None => {
-                let [_, after] = self.beliefs.see(motor, Seen::MissedCheck);
-                if !after.is_unchecked() {
+                let [before, after] = self.beliefs.see(motor, Seen::MissedCheck);
+                if !after.is_unchecked() && !before.is_watched_in_vain() {
                     at.board.log(&Report::Trouble(Trouble::Silent { motor }));
                 }
             }

@@ -18,11 +18,11 @@ pub(super) enum Seen {
     ShutDown,
     /// That shutdown was broken off, or another brake that is watched slips.
     MayTurn,
-    /// Its shaft was checked and stands, or it cannot be asked.
+    /// Its shaft was checked or watched and stands, or it cannot be asked.
     Stands,
     /// Its shaft turns.
     Turns,
-    /// It did not answer while its shaft was checked, or while it was told to hold.
+    /// It did not answer while its shaft was checked or watched, or while it was told to hold.
     MissedCheck,
 }
 
@@ -41,8 +41,9 @@ enum Contact {
 enum Shaft {
     /// Its motor.
     Held,
-    /// Its brake, if that is locked. Then the motor is asked again and again whether the shaft stands.
-    Watched,
+    /// Its brake, if that is locked. Then the motor is asked again and again whether the shaft stands, and may have
+    /// missed the last question.
+    Watched { missed: bool },
     /// Unknown: it is checked once its motor has confirmed a stop. Twice if the motor missed that once: it may never
     /// answer this, and while shafts are checked, the button does nothing.
     Unchecked { missed: bool },
@@ -71,17 +72,19 @@ impl Belief {
         };
         let shaft = match (self.shaft, seen) {
             (_, Seen::Ready) => Held,
-            (_, Seen::ShutDown) => Watched,
+            (_, Seen::ShutDown) => Watched { missed: false },
             // Its brake may have locked.
-            (Held | Turned { .. }, Seen::LetGo | Seen::Missed) => Watched,
+            (Held | Turned { .. }, Seen::LetGo | Seen::Missed) => Watched { missed: false },
             (_, Seen::MayTurn) => Unchecked { missed: false },
-            (Unchecked { .. }, Seen::Stands) => Watched,
+            (Unchecked { .. } | Watched { .. }, Seen::Stands) => Watched { missed: false },
             (Unchecked { missed }, Seen::Turns) => Turned { missed },
             (_, Seen::Turns) => Turned { missed: false },
             (Unchecked { missed: false } | Turned { missed: false }, Seen::MissedCheck) => {
                 Unchecked { missed: true }
             }
-            (Unchecked { missed: true }, Seen::MissedCheck) => Watched,
+            (Unchecked { missed: true } | Watched { .. }, Seen::MissedCheck) => {
+                Watched { missed: true }
+            }
             (same, _) => same,
         };
         Self { contact, shaft }
@@ -96,7 +99,12 @@ impl Belief {
     }
 
     pub(super) fn is_watched(&self) -> bool {
-        self.shaft == Shaft::Watched
+        matches!(self.shaft, Shaft::Watched { .. })
+    }
+
+    /// It is watched, and does not say whether its shaft stands.
+    pub(super) fn is_watched_in_vain(&self) -> bool {
+        self.shaft == Shaft::Watched { missed: true }
     }
 
     pub(super) fn is_unchecked(&self) -> bool {
@@ -111,7 +119,10 @@ pub(super) struct Beliefs([Belief; MotorId::COUNT]);
 impl Beliefs {
     /// An earlier run of the firmware may have locked brakes.
     pub(super) const fn new() -> Self {
-        Self([Belief { contact: Contact::Obeys, shaft: Shaft::Watched }; MotorId::COUNT])
+        Self(
+            [Belief { contact: Contact::Obeys, shaft: Shaft::Watched { missed: false } };
+                MotorId::COUNT],
+        )
     }
 
     /// Takes note of what is seen of a motor. Returns what was believed before, and what is now.

@@ -14,6 +14,7 @@ use super::{Firmware, Moved, Panel, angle_deg};
 on_both_buses! {
     a_brake_that_an_earlier_firmware_has_locked_is_watched
     a_brake_is_watched_although_its_answer_was_lost
+    a_watched_motor_that_does_not_say_whether_it_stands_is_reported_once
     a_motor_that_is_held_again_and_restarts_is_held_again
     after_a_shutdown_in_which_one_turned_the_others_are_watched
     a_slip_while_another_motor_lets_go_is_seen_at_once
@@ -67,6 +68,19 @@ fn a_brake_is_watched_although_its_answer_was_lost<B: Moved>() {
     assert!(!is_off(&bus.drives[2]));
     assert!(fallen_deg(&bus, &before_deg)[2] < 15.0, "{:?}", fallen_deg(&bus, &before_deg));
     stays_held(&mut firmware, &bus);
+}
+
+/// It has let go, and answers everything else since. What its brake does nobody knows.
+fn a_watched_motor_that_does_not_say_whether_it_stands_is_reported_once<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    lets_go(&mut firmware, &bus.drives[2], true, 0);
+    run_altered(&mut firmware, 3_000, |data| (data[0] != 0x9C).then_some(data));
+    assert_eq!(firmware.troubles(), [Trouble::Silent { motor: id(3) }]);
+    firmware.forget();
+    firmware.run_for(millis(1_000));
+    run_altered(&mut firmware, 1_000, |data| (data[0] != 0x9C).then_some(data));
+    assert_eq!(firmware.troubles(), [Trouble::Silent { motor: id(3) }], "it had answered since");
 }
 
 /// Its brake slipped in a shutdown, so its motor holds it. Once that restarts, only the same brake does.
