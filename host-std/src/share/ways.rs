@@ -351,7 +351,8 @@ mod tests {
             scope.spawn(|| {
                 // They drop the questions that are under way.
                 for _ in 0..500 {
-                    bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+                    let unconfirmed = bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+                    assert_eq!(unconfirmed, MotorSet::EMPTY);
                 }
             });
             bus.wait_until_stands(id(1), Duration::from_secs(60)).unwrap();

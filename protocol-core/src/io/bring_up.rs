@@ -32,6 +32,9 @@ use crate::units::{EncoderPulses, Milliseconds};
 /// Motors that share an id, as those from the factory do, are found as one on CAN. On RS485 their answers collide, and
 /// none may be found: connect one at a time.
 ///
+/// Each id is asked twice at most. On a bus that loses frames a motor may not be found: compare what was found with the
+/// motors that your robot has, before anything moves.
+///
 /// [`stop_all`](Runner::stop_all) and a [`Guard`](crate::io::Guard) reach the motors that were found, however this
 /// ends. If the master has too few places for all of them, none keeps a place that it did not have before; they then
 /// get the one stop that goes to all, and confirm nothing. Ids without a motor take no place.
