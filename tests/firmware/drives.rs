@@ -19,6 +19,9 @@ tests_on! {
 
 /// The firmware gives a silent motor up after 100 ms, and then stops all.
 const SILENCE_STOPS: Duration = Duration::from_millis(250);
+/// A drive that restarts may answer again before it counts as silent. Then it is found by its run time, which the
+/// application queries every 120 ms.
+const RESTART_STOPS: Duration = Duration::from_millis(370);
 /// A motor that receives nothing stops on its own after 500 ms, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
 /// The application queries each motor's errors every 120 ms.
@@ -71,7 +74,7 @@ fn one_restarting_drive_stops_all(firmware: &mut Firmware) {
     );
     firmware.wait_for("State(Stopped)", TIMEOUT);
     firmware.check_stays_stopped(RECOVERY + WATCH);
-    firmware.check_still(restarted, SILENCE_STOPS);
+    firmware.check_still(restarted, RESTART_STOPS);
     start_moving(firmware);
 }
 
@@ -102,7 +105,15 @@ fn one_drive_with_another_firmware_keeps_all_from_moving(program: Program) {
         firmware.fail(&error.to_string());
     }
     firmware.press();
-    let trouble = wait_for_trouble(&mut firmware, "OtherFirmware { motor: motor 2,");
+    let mut trouble = wait_for_trouble(&mut firmware, "");
+    // Its run time may be queried before its version is: then it is a drive that has restarted.
+    if trouble.text.contains("Restarted { motor: motor 2 }") {
+        firmware.wait_for("State(Stopped)", TIMEOUT);
+        firmware.check_stays_stopped(TIMEOUT);
+        firmware.press();
+        trouble = wait_for_trouble(&mut firmware, "");
+    }
+    assert!(trouble.text.contains("OtherFirmware { motor: motor 2,"), "found \"{trouble}\"");
     assert!(trouble.text.contains("20231201"), "expected version 20231201, found \"{trouble}\"");
     firmware.wait_for("State(Stopped)", TIMEOUT);
     firmware.check_stays_stopped(WATCH);
