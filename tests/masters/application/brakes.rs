@@ -175,6 +175,11 @@ pub(super) fn before_shutdown<B: Moved>(bus: &BusFleet<B>) -> (Firmware<'_, B>, 
     (firmware, bus.drives.iter().map(angle_deg).collect())
 }
 
+/// Its brake holds nothing from now on, whatever it is told.
+pub(super) fn slips(drive: &DriveHandle) {
+    drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+}
+
 pub(super) fn is_off(drive: &DriveHandle) -> bool {
     !state(drive).output_on
 }
@@ -232,7 +237,7 @@ fn what_would_fall_in_a_shutdown_is_held_again<B: Moved>() {
         let (mut firmware, before_deg) = before_shutdown(&bus);
         let log = bus.world.log();
         for drive in &bus.drives[falling.clone()] {
-            drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+            slips(drive);
         }
         firmware.press(millis(1_100));
         firmware.run_for(millis(1_000));
@@ -260,7 +265,7 @@ fn no_brake_of_a_motor_with_an_error_opens_in_a_shutdown<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
     for drive in &bus.drives {
-        drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        slips(drive);
     }
     firmware.panel.is_button_down = true;
     firmware.run_until(Report::State(StateName::ShuttingDown), millis(1_100));
@@ -326,7 +331,7 @@ fn a_brake_that_slips_behind_a_motor_that_let_go_is_not_left_to_hold<B: Moved>()
             if slips_after_ms >= 1_000 {
                 before_deg[1] = angle_deg(drive);
             }
-            drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+            slips(drive);
             firmware.run_for(millis(1_000));
             let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
             let case = format!("{is_restart} {slips_after_ms} ms: {fallen:?}, {told:?}");

@@ -9,7 +9,7 @@ use myactuator_protocol_core::time::Instant;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, stays_held};
+use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, slips, stays_held};
 use super::shutdown::{break_off, shut_down};
 use super::{Firmware, Moved, told_by};
 
@@ -126,7 +126,7 @@ fn a_motor_that_turns_and_cannot_be_told_to_hold_leaves_the_button_alive<B: Move
     for mute in [0x77, 0x81] {
         let bus = loaded::<B>(3, true);
         let (mut firmware, _) = before_shutdown(&bus);
-        bus.drives[2].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        slips(&bus.drives[2]);
         shut_down(&mut firmware);
         firmware.run_for(millis(25));
         break_off(&mut firmware);
@@ -147,7 +147,7 @@ fn a_motor_that_missed_both_checks_is_watched<B: Moved>() {
     break_off(&mut firmware);
     run_mute(&mut firmware, 0x9C, false, 1_500);
     firmware.forget();
-    bus.drives[2].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    slips(&bus.drives[2]);
     firmware.run_for(millis(1_000));
     assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(3) }]);
     assert!(!is_off(&bus.drives[2]));
@@ -200,7 +200,7 @@ fn brakes_that_slip_at_the_same_time_are_all_seen<B: Moved>() {
         slipping.iter().for_each(|drive| lets_go(&mut firmware, drive, true, 0));
         firmware.run_for(millis(slips_after_ms));
         for drive in slipping {
-            drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+            slips(drive);
         }
         firmware.run_for(millis(1_000));
         let fallen = fallen_deg(&bus, &before_deg);
@@ -231,7 +231,7 @@ fn a_brake_that_was_told_to_lock_is_watched_whatever_it_says<B: Moved>() {
     break_off(&mut firmware);
     run_altered(&mut firmware, 1_500, says_released);
     firmware.forget();
-    bus.drives[2].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    slips(&bus.drives[2]);
     run_altered(&mut firmware, 1_000, says_released);
     assert_eq!(firmware.troubles(), [Trouble::Turns { motor: id(3) }]);
     assert!(!is_off(&bus.drives[2]));

@@ -14,7 +14,9 @@ use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::brakes::{before_shutdown, fallen_deg, has_none_fallen, is_off, loaded, stays_held};
+use super::brakes::{
+    before_shutdown, fallen_deg, has_none_fallen, is_off, loaded, slips, stays_held,
+};
 use super::{Firmware, Moved, Panel, angle_deg, unplug};
 
 on_both_buses! {
@@ -59,7 +61,7 @@ fn an_error_while_a_brake_is_opened_again_locks_it_at_once<B: Moved>() {
         let bus = loaded::<B>(8, true);
         let (mut firmware, _) = before_shutdown(&bus);
         let last = &bus.drives[7];
-        last.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        slips(last);
         shut_down(&mut firmware);
         if is_broken_off {
             firmware.run_for(millis(25));
@@ -99,7 +101,7 @@ fn what_slips_in_a_shutdown_that_is_broken_off_is_held_again<B: Moved>() {
         for why in [Why::Button, Why::BusError, Why::Silent] {
             let bus = loaded::<B>(3, true);
             let (mut firmware, before_deg) = before_shutdown(&bus);
-            bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+            slips(&bus.drives[1]);
             shut_down(&mut firmware);
             firmware.run_for(millis(after_ms));
             match why {
@@ -147,7 +149,7 @@ pub(super) fn break_off<B: Moved>(firmware: &mut Firmware<'_, B>) {
 fn an_error_after_a_shutdown_that_is_broken_off_is_reported_and_the_others_are_held<B: Moved>() {
     let bus = loaded::<B>(3, true);
     let (mut firmware, before_deg) = before_shutdown(&bus);
-    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    slips(&bus.drives[1]);
     shut_down(&mut firmware);
     firmware.run_for(millis(25));
     break_off(&mut firmware);
@@ -184,7 +186,7 @@ fn a_motor_that_confirms_late_after_a_shutdown_that_is_broken_off_is_held_again<
                 unplug(&bus, &bus.drives[1]);
             }
             firmware.run_for(millis(back_after_ms));
-            bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+            slips(&bus.drives[1]);
             bus.world.mend(bus.drives[1].station());
             firmware.run_for(millis(1_000));
             let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
@@ -215,7 +217,7 @@ fn a_press_that_is_under_way_when_something_falls_starts_nothing<B: Moved>() {
         unplug(&bus, &bus.drives[1]);
         break_off(&mut firmware);
         firmware.run_for(millis(2_000));
-        bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        slips(&bus.drives[1]);
         bus.world.mend(bus.drives[1].station());
         firmware.forget();
         let mut pressed = firmware.runner.now();
@@ -242,7 +244,7 @@ fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     let (mut firmware, before_deg) = before_shutdown(&bus);
     shut_down(&mut firmware);
     firmware.run_for(millis(25));
-    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    slips(&bus.drives[1]);
     let master = firmware.runner.master();
     master.lift_stop();
     let (command, enable) = (ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On);
@@ -268,7 +270,7 @@ fn what_is_held_again_is_held_on_when_another_confirms_late<B: Moved>() {
     firmware.run_for(millis(1_500));
     shut_down(&mut firmware);
     firmware.run_for(millis(25));
-    bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+    slips(&bus.drives[1]);
     unplug(&bus, &bus.drives[2]);
     break_off(&mut firmware);
     firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_500));
@@ -319,7 +321,7 @@ fn an_error_of_another_motor_keeps_none_that_turns_from_being_held<B: Moved>() {
     for after_ms in 0..12 {
         let bus = loaded::<B>(3, true);
         let (mut firmware, before_deg) = before_shutdown(&bus);
-        bus.drives[1].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        slips(&bus.drives[1]);
         shut_down(&mut firmware);
         firmware.run_for(millis(25));
         break_off(&mut firmware);

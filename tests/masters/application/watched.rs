@@ -1,12 +1,11 @@
 //! Shafts that are asked again and again whether they stand, and those that are not.
 
-use myactuator_host_std::sim::DriveHandle;
 use myactuator_mcu_example::{Report, StateName, Trouble};
 use myactuator_protocol_core::Data;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, stays_held};
+use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, slips, stays_held};
 use super::gone::run_altered;
 use super::shutdown::shut_down;
 use super::{Firmware, Moved, Panel, angle_deg};
@@ -21,10 +20,6 @@ on_both_buses! {
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
-}
-
-fn slips(drive: &DriveHandle) {
-    drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
 }
 
 /// The board restarted during a shutdown.
