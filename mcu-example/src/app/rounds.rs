@@ -48,7 +48,8 @@ impl Rounds {
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));
-            self.next = now + INTERVAL;
+            // A cycle that begins a little early for the next question does not put off those after it.
+            self.next = (self.next + INTERVAL).max(now);
         }
     }
 

@@ -24,6 +24,7 @@ on_both_buses! {
     a_shutdown_after_a_search_that_failed_is_one_of_all
     an_error_is_noticed_at_once_where_motors_report_it
     motors_hear_enough_beside_stops_to_nobody
+    a_stopped_motor_is_asked_every_10_ms_whatever_the_cycle
     a_motor_that_stops_late_is_kept_holding
     a_motor_that_was_found_once_must_be_found_again
     two_motors_that_are_silent_are_a_dead_bus
@@ -81,6 +82,21 @@ fn motors_hear_enough_while_others_are_looked_for<B: Moved>() {
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(6_000));
     assert_eq!(lost_their_master(&bus.drives), []);
+}
+
+/// A question that is due just after a cycle began waits for the next one, and does not put off those after it.
+fn a_stopped_motor_is_asked_every_10_ms_whatever_the_cycle<B: Moved>() {
+    for cycle_ms in [1, 4, 9] {
+        let bus = B::drives(&Fleet::new(1)).unwrap();
+        let search = id(1).into();
+        let setup = Setup { search, cycle: millis(cycle_ms), ..B::setup() };
+        let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+        firmware.run_for(millis(100));
+        let before = firmware.runner.master().health(id(1)).answered;
+        firmware.run_for(millis(1_000));
+        let answered = firmware.runner.master().health(id(1)).answered - before;
+        assert!((98..=102).contains(&answered), "a cycle of {cycle_ms} ms: {answered}");
+    }
 }
 
 fn a_motor_that_ran_and_is_missing_keeps_the_others_from_starting<B: Moved>() {
