@@ -12,7 +12,7 @@ use myactuator_tests::emulator::board::Board;
 use myactuator_tests::emulator::drives::Adapter;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::log::Line;
-use myactuator_tests::emulator::urgency;
+use myactuator_tests::emulator::processor;
 
 /// The number of drives.
 pub(crate) const DRIVES: u8 = 4;
@@ -72,8 +72,8 @@ pub(crate) use tests_on;
 /// Runs a test. A failure counts as not judged if the machine was slower than the firmware tolerates.
 pub(crate) fn judge(test: impl FnOnce()) {
     let Err(failure) = panic::catch_unwind(AssertUnwindSafe(test)) else { return };
-    let longest = urgency::longest_in_this_test();
-    if !urgency::excuses_failure(longest) {
+    let longest = processor::longest_in_this_test();
+    if !processor::excuses_failure(longest) {
         panic::resume_unwind(failure);
     }
     let text = failure.downcast_ref::<String>().map(String::as_str);

@@ -21,7 +21,7 @@ use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 
 use super::board::Wire;
-use super::{Failure, urgency};
+use super::{Failure, processor};
 
 /// Bits per second on either wire: the setting of the boards' programs.
 const BIT_RATE: u32 = 1_000_000;
@@ -108,7 +108,7 @@ impl Drives {
         let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
         // A server cannot leave the thread that created it.
         let thread = thread::spawn(move || {
-            urgency::take();
+            processor::take();
             let mut server = Server::new();
             let record = |notice| match notice {
                 // It is the firmware's task to handle what drives refuse.

@@ -12,8 +12,8 @@ use super::drives::{Adapter, Drives};
 use super::image;
 use super::log::{Line, Mark, Second};
 use super::panel::Breakage;
+use super::processor::{REPLY_TIMEOUT, Stalls};
 use super::truth::{Sample, Truth};
-use super::urgency::{REPLY_TIMEOUT, Stalls};
 use super::{Emulated, Failure};
 
 /// Tests run in real time. Several at once would delay each other.
@@ -21,9 +21,10 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// How long a shaft may still move after its drive has confirmed a stop.
 const COMES_TO_REST: Duration = Duration::from_millis(20);
-/// The application runs a cycle each millisecond. If so many cycles of a second are missing, the emulator stood still.
-const CYCLES: u32 = 1_000;
-const STOOD_STILL: u32 = 15;
+/// The cycle of the emulated boards. If so many cycles of a second are missing, the emulator stood still.
+const CYCLE: Duration = Duration::from_millis(10);
+const CYCLES: u32 = 100;
+const STOOD_STILL: u32 = 2;
 /// The number of lines of the log that a failure shows.
 const TAIL: usize = 40;
 
@@ -141,7 +142,7 @@ impl Firmware {
         let missing = CYCLES.saturating_sub(second.cycles - before);
         if missing >= STOOD_STILL {
             // A master repeats a command after this time-out, so each time-out may cost a reply.
-            let late = missing / REPLY_TIMEOUT.as_millis() as u32 + 1;
+            let late = (missing * CYCLE).as_millis() / REPLY_TIMEOUT.as_millis() + 1;
             // In flight are the set-point of each drive, and a query of one of them.
             self.stood_still += late as usize * (self.drives().handles().len() + 1);
         }

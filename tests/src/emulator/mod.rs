@@ -19,7 +19,7 @@
 //! | [`log`] | the log of the firmware |
 //! | [`drives`] | the simulated drives, with faults to inject, and the commands that they received |
 //! | [`truth`] | where the shafts really were, and when they stood still |
-//! | [`urgency`] | real-time priority, and how long the machine kept threads waiting |
+//! | [`processor`] | one processor for emulator and simulation, and how long the machine kept it from them |
 //! | [`Emulated`] | a board with its drives |
 //! | [`firmware`] | a board with its drives, and checks of both ends, for tests |
 //!
@@ -34,10 +34,10 @@ pub mod firmware;
 pub mod image;
 pub mod log;
 pub mod panel;
+pub mod processor;
 pub mod qemu;
 mod socket;
 pub mod truth;
-pub mod urgency;
 
 use std::path::PathBuf;
 

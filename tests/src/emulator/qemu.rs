@@ -9,16 +9,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use super::board::{Board, Port, Wire};
-use super::{Failure, target_dir};
+use super::{Failure, processor, target_dir};
 
 const NAME: &str = "qemu-system-arm";
 
 /// Runs the emulator until standard input is closed, so that the emulator ends whenever this process ends. Standard
-/// output ends with the emulator. The emulator has priority over all ordinary processes, if the system allows that. The
+/// output ends with the emulator, which gets the processor that the first argument names, if the system allows that. The
 /// script ignores Ctrl-C in a terminal.
 const KEEPER: &str = r#"
     trap '' INT HUP TERM
-    if chrt --rr 1 true 2>/dev/null; then set -- chrt --rr 1 "$@"; fi
+    processor=$1; shift
+    if taskset -c $processor true 2>/dev/null; then set -- taskset -c $processor "$@"; fi
     "$@" </dev/null & emulator=$!
     exec >/dev/null
     read -r _
@@ -67,7 +68,7 @@ impl Qemu {
     ) -> Result<(Self, ChildStdout), Failure> {
         let ports = board.ports(wire).ok_or_else(|| format!("{board} has no port for {wire}"))?;
         let mut keeper = Command::new("/bin/sh")
-            .args(["-c", KEEPER, "sh"])
+            .args(["-c", KEEPER, "sh", &processor::shared().to_string()])
             .arg(find()?)
             .args(["-machine", board.machine(), "-display", "none", "-monitor", "none"])
             .args(["-semihosting-config", "enable=on,target=native"])

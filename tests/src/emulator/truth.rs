@@ -8,7 +8,7 @@ use std::time::Duration;
 use myactuator_host_std::sim::DriveHandle;
 use myactuator_protocol_core::time::Instant;
 
-use super::urgency;
+use super::processor;
 
 /// The interval of the samples.
 const INTERVAL: Duration = Duration::from_millis(2);
@@ -64,7 +64,7 @@ impl Truth {
         let is_over = Arc::<AtomicBool>::default();
         let (all, until) = (Arc::clone(&samples), Arc::clone(&is_over));
         let observer = thread::spawn(move || {
-            urgency::take();
+            processor::take();
             while !until.load(Ordering::Relaxed) {
                 {
                     let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);

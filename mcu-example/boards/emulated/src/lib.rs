@@ -1,4 +1,4 @@
-//! What the emulated boards share: the output of the log, the report of a panic, time-outs, and a fault.
+//! What the emulated boards share: the output of the log, the report of a panic, time-outs, the cycle, and a fault.
 #![no_std]
 
 mod log;
@@ -19,6 +19,10 @@ pub const fn patient(config: Config) -> Config {
         ..config
     }
 }
+
+/// The cycle. Emulating a byte on a wire takes so long that four motors with 200 set-points a second already occupy the
+/// emulator: then it falls behind real time.
+pub const CYCLE: Duration = Duration::from_millis(10);
 
 /// Raises a fault.
 pub fn fault() -> ! {

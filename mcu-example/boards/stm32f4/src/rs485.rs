@@ -15,16 +15,21 @@ use crate::{MOTORS, motors};
 /// The highest speed, in degrees per second.
 const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
 
+/// The application's settings on a line: positions, as many as the line carries.
+pub fn setup(config: &Config) -> Setup {
+    let movement = Movement::Position { max_speed: MAX_SPEED };
+    Setup { search: motors(), cycle: cycle(config), ..Setup::new(movement) }
+}
+
 /// Runs the application on the line forever.
 pub fn run_rs485(
     line: Line,
     config: Config,
+    setup: Setup,
     time: TimeBase,
     board: &mut impl Board,
     cause: RestartCause,
 ) -> ! {
-    let movement = Movement::Position { max_speed: MAX_SPEED };
-    let setup = Setup { search: motors(), cycle: cycle(&config), ..Setup::new(movement) };
     let mut bus = SerialMaster::<_, _, MOTORS>::new(line, time, config);
     run(&mut bus, board, setup, cause)
 }

@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use board_emulated::patient;
+use board_emulated::{CYCLE, patient};
 use cortex_m_rt::entry;
 use mps2_an386::{Bus, Parts, SLCAN_LINE_RATE, Slcan, run, start};
 use myactuator_mcu_example::{Movement, Setup, run_async};
@@ -19,7 +19,7 @@ fn main() -> ! {
 async fn application() -> ! {
     // Gentle: a motor that is 5 degrees off turns back with less than 2 N·m.
     let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 };
-    let setup = Setup::new(movement);
+    let setup = Setup { cycle: CYCLE, ..Setup::new(movement) };
     let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
     let can = Slcan::open(uart, clock);
     let mut bus = AsyncCanMaster::<_, _, 8>::new(can, clock, patient(Config::CAN));

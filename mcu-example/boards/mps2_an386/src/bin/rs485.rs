@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use board_emulated::patient;
+use board_emulated::{CYCLE, patient};
 use cortex_m_rt::entry;
 use mps2_an386::{Bus, Parts, start};
 use myactuator_mcu_example::{Movement, Setup, run};
@@ -15,7 +15,8 @@ const BIT_RATE: u32 = 1_000_000;
 #[entry]
 fn main() -> ! {
     // Twice the highest speed of the movement.
-    let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
+    let movement = Movement::Position { max_speed: MaxSpeed::from_raw(60) };
+    let setup = Setup { cycle: CYCLE, ..Setup::new(movement) };
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
     let mut bus =
         SerialMaster::<_, _, 8>::new(uart, clock, patient(Config::rs485(BIT_RATE, false)));

@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use board_emulated::patient;
+use board_emulated::{CYCLE, patient};
 use cortex_m_rt::entry;
 use mps2_an386::{Bus, Parts, run, start};
 use myactuator_mcu_example::{Movement, Setup, run_async};
@@ -20,7 +20,8 @@ fn main() -> ! {
 #[embassy_executor::task]
 async fn application() -> ! {
     // Twice the highest speed of the movement.
-    let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
+    let movement = Movement::Position { max_speed: MaxSpeed::from_raw(60) };
+    let setup = Setup { cycle: CYCLE, ..Setup::new(movement) };
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
     let mut bus =
         AsyncSerialMaster::<_, _, 8>::new(uart, clock, patient(Config::rs485(BIT_RATE, false)));

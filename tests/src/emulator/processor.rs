@@ -1,9 +1,11 @@
-//! Real-time priority, if the system allows it, and how long the machine kept threads waiting.
+//! One processor for emulator and simulation, and how long the machine kept it from them.
 //!
-//! Emulator and simulation have to answer each other within a millisecond. Both are threads among others, on a machine
-//! that may itself be a guest.
+//! They hand over to each other at each byte, and have to answer each other within a millisecond. A virtual machine
+//! takes up to milliseconds to wake a processor that sleeps, so both share one, which a thread without any priority keeps
+//! awake. The simulation needs microseconds at a time, and goes before the emulator.
 
 use std::cell::Cell;
+use std::hint;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -37,26 +39,46 @@ pub fn longest_in_this_test() -> Duration {
     LONGEST.get()
 }
 
-/// Gives this thread priority over all ordinary ones, if the system allows it. Threads and processes that it starts
-/// from now on are ordinary.
+/// The processor that emulator and simulation share.
+pub(super) fn shared() -> usize {
+    let ours = sched_getaffinity(None).unwrap_or_default();
+    // Many systems handle interrupts on the first.
+    (0..CpuSet::MAX_CPU).rfind(|&processor| ours.is_set(processor)).unwrap_or(0)
+}
+
+/// Moves this thread to the shared processor, with priority over all ordinary ones there, if the system allows it.
 pub(super) fn take() {
-    let changed = Command::new("chrt")
-        .args(["--reset-on-fork", "--rr", "--pid", "1"])
+    move_to_shared();
+    // If it is not allowed, or `chrt` is missing, the tests need a machine that does nothing else.
+    let _ = schedule(&["--reset-on-fork", "--rr"], "1");
+}
+
+fn move_to_shared() {
+    let mut alone = CpuSet::new();
+    alone.set(shared());
+    // If this is not allowed, the thread runs anywhere.
+    let _ = sched_setaffinity(None, &alone);
+}
+
+/// Whether `chrt` could set how this thread is scheduled.
+fn schedule(policy: &[&str], priority: &str) -> bool {
+    let set = Command::new("chrt")
+        .args(policy)
+        .args(["--pid", priority])
         .arg(gettid().as_raw_nonzero().to_string())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .status();
-    // If it is not allowed, or `chrt` is missing, the tests need a machine that does nothing else.
-    drop(changed);
+    set.is_ok_and(|status| status.success())
 }
 
-/// Measures how long the machine's other work kept threads waiting, with one thread on each processor. Ends when it is
+/// Keeps the shared processor awake, and measures how long the machine kept threads there waiting. Ends when it is
 /// dropped.
 #[derive(Debug)]
 pub struct Stalls {
     found: Arc<Found>,
-    observers: Vec<JoinHandle<()>>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 #[derive(Debug, Default)]
@@ -70,13 +92,11 @@ impl Stalls {
     /// Starts measuring.
     pub(super) fn count() -> Self {
         let found = Arc::<Found>::default();
-        let ours = sched_getaffinity(None).unwrap_or_default();
-        let processors = (0..CpuSet::MAX_CPU).filter(|&processor| ours.is_set(processor));
-        let observer = |processor| {
+        let threads = [Found::observe, Found::keep_awake].map(|run| {
             let found = Arc::clone(&found);
-            thread::spawn(move || found.observe(processor))
-        };
-        Self { observers: processors.map(observer).collect(), found }
+            thread::spawn(move || run(&found))
+        });
+        Self { found, threads: threads.into() }
     }
 
     /// How many replies may have been late so far because of such waits.
@@ -91,11 +111,18 @@ impl Stalls {
 }
 
 impl Found {
-    fn observe(&self, processor: usize) {
-        let mut alone = CpuSet::new();
-        alone.set(processor);
-        // If this is not allowed, the thread observes the processor that it happens to run on.
-        let _ = sched_setaffinity(None, &alone);
+    fn keep_awake(&self) {
+        move_to_shared();
+        // With any priority it would take time from those that it is there for.
+        if !schedule(&["--idle"], "0") {
+            return;
+        }
+        while !self.is_over.load(Ordering::Relaxed) {
+            hint::spin_loop();
+        }
+    }
+
+    fn observe(&self) {
         take();
         let pause = Duration::from_millis(1);
         while !self.is_over.load(Ordering::Relaxed) {
@@ -114,9 +141,9 @@ impl Found {
 impl Drop for Stalls {
     fn drop(&mut self) {
         self.found.is_over.store(true, Ordering::Relaxed);
-        for observer in self.observers.drain(..) {
+        for thread in self.threads.drain(..) {
             // A panic there has been reported already.
-            let _ = observer.join();
+            let _ = thread.join();
         }
         LONGEST.set(LONGEST.get().max(self.longest()));
     }
