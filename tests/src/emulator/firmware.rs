@@ -72,7 +72,7 @@ impl Firmware {
         let drives = Drives::new(fleet, wire)?.with_adapter(adapter);
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
-        // Before the emulator starts, since they have the same priority.
+        // Before the emulator starts, whose first bytes may be late otherwise.
         let stalls = Stalls::count();
         let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
         let read = Mark::default();
