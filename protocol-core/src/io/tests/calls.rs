@@ -1,6 +1,7 @@
 //! What the calls that wait make of answers, and what they do on buses that are not kind.
 
 use core::ops::ControlFlow;
+use std::boxed::Box;
 use std::string::ToString;
 use std::vec::Vec;
 
@@ -39,9 +40,9 @@ fn arm() -> (TestCan, CanMaster<TestCan, TestClock, 4>) {
 }
 
 /// A bus from which frames come otherwise: once, twice, or not at all.
-pub(super) struct Heard<F>(TestCan, F, Vec<SimpleFrame>);
+pub(super) struct Heard(TestCan, Box<dyn FnMut(&Packet) -> usize>, Vec<SimpleFrame>);
 
-impl<F: FnMut(&Packet) -> usize> nb::Can for Heard<F> {
+impl nb::Can for Heard {
     type Frame = SimpleFrame;
     type Error = Broken;
 
@@ -62,9 +63,10 @@ impl<F: FnMut(&Packet) -> usize> nb::Can for Heard<F> {
     }
 }
 
-pub(super) fn hearing<F: FnMut(&Packet) -> usize>(
-    times: F,
-) -> (TestCan, CanMaster<Heard<F>, TestClock, 4>) {
+pub(super) fn hearing(
+    times: impl FnMut(&Packet) -> usize + 'static,
+) -> (TestCan, CanMaster<Heard, TestClock, 4>) {
+    let times = Box::new(times);
     let (bus, _, arm) =
         on_can(|bus, clock, config| CanMaster::new(Heard(bus, times, Vec::new()), clock, config));
     (bus, arm)
@@ -344,9 +346,15 @@ fn zero_is_not_kept_if_the_angle_reads_otherwise() {
 }
 
 /// A bus on which something else is said.
-pub(super) struct Says<F>(pub(super) TestCan, pub(super) F);
+pub(super) struct Says(TestCan, Box<dyn FnMut(&mut Data)>);
 
-impl<F: FnMut(&mut Data)> nb::Can for Says<F> {
+impl Says {
+    pub(super) fn new(bus: TestCan, change: impl FnMut(&mut Data) + 'static) -> Self {
+        Self(bus, Box::new(change))
+    }
+}
+
+impl nb::Can for Says {
     type Frame = SimpleFrame;
     type Error = Broken;
 
@@ -362,17 +370,17 @@ impl<F: FnMut(&mut Data)> nb::Can for Says<F> {
     }
 }
 
-pub(super) type Saying<F> = (TestCan, CanMaster<Says<F>, TestClock, 4>);
+pub(super) type Saying = (TestCan, CanMaster<Says, TestClock, 4>);
 
 /// What is heard is changed so.
-pub(super) fn says<F: FnMut(&mut Data)>(change: F) -> Saying<F> {
+pub(super) fn says(change: impl FnMut(&mut Data) + 'static) -> Saying {
     let (bus, _, arm) =
-        on_can(|bus, clock, config| CanMaster::new(Says(bus, change), clock, config));
+        on_can(|bus, clock, config| CanMaster::new(Says::new(bus, change), clock, config));
     (bus, arm)
 }
 
 /// This is said instead of other answers to the same command.
-fn saying<const M: usize>(said: [Data; M]) -> Saying<impl FnMut(&mut Data)> {
+fn saying<const M: usize>(said: [Data; M]) -> Saying {
     says(move |heard| {
         if let Some(data) = said.into_iter().find(|data| data[0] == heard[0]) {
             *heard = data;
@@ -435,12 +443,12 @@ fn zero_is_kept_if_the_angle_is_0_and_the_offset_the_stored_one() {
 
 #[test]
 fn zero_may_be_written_only_after_an_answered_shutdown() {
-    let (_, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x64));
+    let (_, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x64));
     let why = CallError::Failed { motor: id(1), failure: Failure::NoReply };
     let outcome = bring_up::zero_here(&mut arm, id(1));
     assert_eq!(outcome, Err(BringUpError::MayBeWritten { motor: id(1), why }));
     // Without an answer to the shutdown before it nothing is written.
-    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x80));
+    let (bus, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x80));
     let outcome = bring_up::zero_here(&mut arm, id(1));
     assert_eq!(outcome, Err(BringUpError::Call(why)));
     assert!(bus.sent().iter().all(|data| data[0] != 0x64));
@@ -481,7 +489,7 @@ fn two_motors_that_differ_in_any_one_answer_share_an_id() {
         ReadStatus3.encode(),
         ReadMultiTurnAngle.encode(),
     ] {
-        let (_, mut arm) = hearing(|packet| 1 + usize::from(packet.data[0] == command[0]));
+        let (_, mut arm) = hearing(move |packet| 1 + usize::from(packet.data[0] == command[0]));
         assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(true), "{:#04x}", command[0]);
     }
 }
@@ -514,7 +522,8 @@ fn id_change_that_no_motor_took_restarts_none() {
     assert!(!is_sent(&bus, Reset.encode()));
 
     // Alone on the bus it is given its id by 0x79, too.
-    let (bus, mut arm) = hearing(|packet| usize::from(packet.channel == Channel::Reply(id(1))));
+    let (bus, mut arm) =
+        hearing(move |packet| usize::from(packet.channel == Channel::Reply(id(1))));
     let changed = bring_up::change_id(&mut arm, id(1), id(5));
     let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: true };
     assert_eq!(changed, Err(refused));
@@ -635,7 +644,7 @@ fn stalled_move_of_a_motor_with_an_error_fails_with_that_error() {
     // From its answer of this number to where it is on.
     for answer in 48..=53 {
         let mut answers = 0;
-        let (_, mut arm) = says(|data| match data {
+        let (_, mut arm) = says(move |data| match data {
             [0x92, ..] => answers += 1,
             [0xB1, ..] => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
             // Stalled (2.14.3).
@@ -657,7 +666,7 @@ fn stalled_move_of_a_motor_with_an_error_fails_with_that_error() {
 fn angle_jump_between_two_looks_at_a_move_is_a_restart() {
     for jumps_at in [2, 3, 20] {
         let mut looks = 0;
-        let (bus, mut arm) = says(|data| {
+        let (bus, mut arm) = says(move |data| {
             if data[0] == 0x92 {
                 looks += 1;
                 // 5,360 degrees.
@@ -680,7 +689,7 @@ fn angle_jump_between_two_looks_at_a_move_is_a_restart() {
 #[test]
 fn unanswered_move_to_an_absolute_angle_is_sent_again() {
     let mut lost = 0;
-    let (bus, mut arm) = hearing(|packet| {
+    let (bus, mut arm) = hearing(move |packet| {
         let is_lost = packet.data[0] == 0xA4 && lost < 2;
         lost += u8::from(is_lost);
         usize::from(!is_lost && packet.data[0] != 0x70)
@@ -698,7 +707,7 @@ fn unanswered_move_to_an_absolute_angle_is_sent_again() {
 fn move_out_of_time_fails_with_the_error_or_mode_of_its_drive() {
     for (answer, is_fault) in [(8, true), (9, false)] {
         let mut answers = 0;
-        let (_, mut arm) = says(|data| match data {
+        let (_, mut arm) = says(move |data| match data {
             [0x92, ..] => answers += 1,
             [0xB1, ..] => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
             [0x9A, ..] if answers >= answer => data[6] = 0x02,

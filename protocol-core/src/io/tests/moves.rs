@@ -21,7 +21,7 @@ use crate::time::{Duration, Instant};
 use crate::units::{Angle, CoarseSpeed, MaxSpeed};
 use crate::wire::can::SimpleFrame;
 
-awaited! { [F: FnMut(&mut Data)] Says<F> }
+awaited! { [] Says }
 
 fn go_on(_: &MoveProgress) -> ControlFlow<()> {
     ControlFlow::Continue(())
@@ -46,7 +46,7 @@ fn motor_with_an_error_at_its_target_has_not_arrived() {
         let (_, mut arm) = says(says_so);
         let polled = bring_up::move_to(&mut arm, id(1), command, &limits, go_on);
         let (_, _, mut arm) = on_can(|bus, clock, config| {
-            AsyncCanMaster::<_, _, 4>::new(Says(bus, says_so), clock, config)
+            AsyncCanMaster::<_, _, 4>::new(Says::new(bus, says_so), clock, config)
         });
         let awaited = block_on(move_to(&mut arm, id(1), command, &limits, go_on));
         for moved in [polled, awaited] {
@@ -63,7 +63,7 @@ fn motor_that_runs_nothing_at_its_target_has_not_arrived() {
     let command =
         AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
     for (mode, let_go) in [(0, true), (3, false)] {
-        let (_, mut arm) = says(|data| match data[0] {
+        let (_, mut arm) = says(move |data| match data[0] {
             0xB1 => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
             0x70 => *data = [0x70, 0, 0, 0, 0, 0, 0, mode],
             _ => {}
@@ -77,7 +77,7 @@ fn motor_that_runs_nothing_at_its_target_has_not_arrived() {
 /// The release may be obeyed and its answer lost: the brake would open, and nothing hold behind it.
 #[test]
 fn unanswered_brake_release_is_followed_by_holds_each_time() {
-    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x77));
+    let (bus, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x77));
     let outcome = bring_up::release_brake(&mut arm, id(1));
     let (motor, failure) = (id(1), Failure::NoReply);
     assert_eq!(outcome, Err(CallError::Failed { motor, failure }.into()));
@@ -128,7 +128,7 @@ fn brake_release_is_not_repeated_after_a_bus_error() {
 #[test]
 fn error_while_a_brake_opens_gets_it_locked_at_once() {
     let mut left = 4;
-    let (bus, mut arm) = says(|data| {
+    let (bus, mut arm) = says(move |data| {
         if data[0] == 0x9A {
             left -= i32::from(left > 0);
             data[6] = if left > 0 { 0 } else { 0x04 };
@@ -253,7 +253,7 @@ fn locked_brake_slips_if_the_shaft_turns_at_3_dps_or_more() {
 
 #[test]
 fn brake_still_reported_locked_after_a_release_is_an_error() {
-    let (_, mut arm) = says(|data| {
+    let (_, mut arm) = says(move |data| {
         if data[0] == 0x9A {
             data[3] = 0;
         }
