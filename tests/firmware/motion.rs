@@ -147,11 +147,11 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
 }
 
 tests_on! {
-    MPS2_CAN as a_minute_of_mps2_can, NETDUINO_RS485 as a_minute_of_netduino_rs485:
-    nothing_is_lost_in_a_minute
+    MPS2_CAN as half_a_minute_of_mps2_can, NETDUINO_RS485 as half_a_minute_of_netduino_rs485:
+    nothing_is_lost_in_half_a_minute
 }
-fn nothing_is_lost_in_a_minute(program: Program) {
-    nothing_is_lost(program, 60);
+fn nothing_is_lost_in_half_a_minute(program: Program) {
+    nothing_is_lost(program, 30);
 }
 
 /// Run these by hand: `-- --ignored nothing_is_lost_in_ten_minutes`. Add the name of a program to run only that one.
