@@ -195,7 +195,8 @@ impl<const N: usize> App<N> {
         // In every state, and also to motors whose firmware was not asked for yet: a motor that hears nothing cuts its
         // output.
         if self.rounds.is_due(at.now) {
-            self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
+            let (motors, watched) = (self.attended(), self.watch.asked());
+            self.rounds.ask(motors, watched, &self.setup, at.master, at.now);
         }
     }
 

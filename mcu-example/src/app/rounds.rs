@@ -31,10 +31,22 @@ impl Rounds {
         self.asked.is_none() && now >= self.next
     }
 
-    /// Asks one of these motors the next question.
+    /// Whether it has waited for longer than these.
+    pub(super) fn is_before(&self, other: &Self) -> bool {
+        self.next < other.next
+    }
+
+    /// The motor whose answer is waited for.
+    pub(super) fn asked(&self) -> Option<MotorId> {
+        self.asked.map(|(ticket, _)| ticket.motor())
+    }
+
+    /// Asks one of these motors the next question. One that other rounds are asking keeps its turn: both may come to it
+    /// in the same cycle again and again.
     pub(super) fn ask<const N: usize>(
         &mut self,
         motors: MotorSet,
+        asked_by_others: Option<MotorId>,
         setup: &Setup,
         master: &mut Master<N>,
         now: Instant,
@@ -42,9 +54,13 @@ impl Rounds {
         if motors.is_empty() {
             return;
         }
-        self.turn = (self.turn + 1) % (motors.len() * self.questions.len());
-        let Some(motor) = motors.iter().nth(self.turn % motors.len()) else { return };
-        let question = self.questions[self.turn / motors.len()];
+        let turn = (self.turn + 1) % (motors.len() * self.questions.len());
+        let Some(motor) = motors.iter().nth(turn % motors.len()) else { return };
+        if asked_by_others == Some(motor) {
+            return;
+        }
+        self.turn = turn;
+        let question = self.questions[turn / motors.len()];
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));

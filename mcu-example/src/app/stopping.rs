@@ -130,9 +130,7 @@ impl<const N: usize> App<N> {
                     let _ = at.master.stop_all(kind, unconfirmed);
                 }
                 self.look(kind, unconfirmed, at);
-                if self.watch.is_due(at.now) {
-                    self.watch.ask(self.watched(at.now), &self.setup, at.master, at.now);
-                }
+                self.ask_watched(at);
             }
             _ => {}
         }
@@ -186,6 +184,16 @@ impl<const N: usize> App<N> {
             }
             // Their shafts are checked, or nothing holds them, or they move.
             _ => MotorSet::EMPTY,
+        }
+    }
+
+    /// Asks the next of the watched motors. Both rounds may want the same one: the one that has waited for longer is
+    /// first.
+    fn ask_watched(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        let is_second = self.rounds.is_due(at.now) && self.rounds.is_before(&self.watch);
+        if self.watch.is_due(at.now) && !is_second {
+            let (motors, asked) = (self.watched(at.now), self.rounds.asked());
+            self.watch.ask(motors, asked, &self.setup, at.master, at.now);
         }
     }
 

@@ -1,7 +1,10 @@
 //! Shafts that are asked again and again whether they stand, and those that are not.
 
-use myactuator_mcu_example::{Report, StateName, Trouble};
+use myactuator_host_std::sim::Fleet;
+use myactuator_mcu_example::{Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::Data;
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
@@ -14,6 +17,7 @@ on_both_buses! {
     a_brake_that_an_earlier_firmware_has_locked_is_watched
     a_brake_is_watched_although_its_answer_was_lost
     a_watched_motor_that_does_not_say_whether_it_stands_is_reported_once
+    a_watched_motor_with_an_error_is_reported_whatever_the_cycle
     a_motor_that_is_held_again_and_restarts_is_held_again
     after_a_shutdown_in_which_one_turned_the_others_are_watched
     a_slip_while_another_motor_lets_go_is_seen_at_once
@@ -76,6 +80,36 @@ fn a_watched_motor_that_does_not_say_whether_it_stands_is_reported_once<B: Moved
     firmware.run_for(millis(1_000));
     run_altered(&mut firmware, 1_000, |data| (data[0] != 0x9C).then_some(data));
     assert_eq!(firmware.troubles(), [Trouble::Silent { motor: id(3) }], "it had answered since");
+}
+
+/// Asked whether its shaft stands, it may be busy whenever it is its turn to be asked for its errors. The last one is
+/// watched, or all are.
+fn a_watched_motor_with_an_error_is_reported_whatever_the_cycle<B: Moved>() {
+    let is_reported = |cycle_ms, motors: u8, is_one| {
+        let bus = B::drives(&Fleet::new(motors).brakes(true)).unwrap();
+        let search = MotorId::all().take(motors.into()).collect();
+        let setup = Setup { search, cycle: millis(cycle_ms), ..B::setup() };
+        let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+        firmware.run_for(millis(200));
+        let last = bus.drives.last().unwrap();
+        if is_one {
+            firmware.press(millis(50));
+            firmware.run_until(Report::State(StateName::Running), millis(3_000));
+            firmware.press(millis(50));
+            lets_go(&mut firmware, last, true, 0);
+            firmware.run_for(millis(1_500));
+        }
+        last.with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        firmware.run_for(millis(1_000));
+        let error = Trouble::Errors { motor: last.motor(), flags: ErrorFlags::STALL };
+        firmware.troubles().contains(&error)
+    };
+    for cycle_ms in [1, 4, 10, 20] {
+        for (motors, is_one) in [(1, false), (2, false), (2, true), (3, true), (8, true)] {
+            let case = format!("{cycle_ms} ms, {motors} motors, one watched: {is_one}");
+            assert!(is_reported(cycle_ms, motors, is_one), "{case}");
+        }
+    }
 }
 
 /// Its brake slipped in a shutdown, so its motor holds it. Once that restarts, only the same brake does.
