@@ -16,7 +16,7 @@ impl<const N: usize> App<N> {
     // Rare beside feedback: its registers are not to be saved for each.
     #[inline(never)]
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
-        self.locks.note(event);
+        self.locks.note(event, at.now);
         match self.watch.take(event) {
             // What makes one brake slip may make others slip.
             Some((_, Answer::Turns)) => {

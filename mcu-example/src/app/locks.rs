@@ -45,7 +45,12 @@ impl Locks {
     }
 
     /// Sends the commands to lock, one at a time. A motor that is being stopped gets its own after the stop.
-    pub(super) fn ask<const N: usize>(&mut self, setup: &Setup, master: &mut Master<N>) {
+    pub(super) fn ask<const N: usize>(
+        &mut self,
+        setup: &Setup,
+        master: &mut Master<N>,
+        now: Instant,
+    ) {
         // Looking through all ids would take some 200 instructions a cycle.
         if self.wanted.is_empty() || self.told.is_some() {
             return;
@@ -54,8 +59,16 @@ impl Locks {
         self.told = self.wanted.iter().find_map(ask);
         if let Some(told) = self.told {
             self.wanted.remove(told.motor());
-            self.locked.insert(told.motor());
+            self.lock(told.motor(), now);
         }
+    }
+
+    /// This brake is told to lock, or says that it is locked. It may have just begun to, unless it was known to move.
+    fn lock(&mut self, motor: MotorId, now: Instant) {
+        if !self.locked.contains(motor) && !self.moving.0.contains(motor) {
+            self.move_now(motor.into(), now);
+        }
+        self.locked.insert(motor);
     }
 
     /// The button was pressed to shut down. These brakes are told to lock; the answers may be lost.
@@ -77,14 +90,15 @@ impl Locks {
     }
 
     /// Takes note of an outcome. If a stop has dropped the command, it is sent again after the stop.
-    pub(super) fn note(&mut self, event: &Event) {
+    pub(super) fn note(&mut self, event: &Event, now: Instant) {
         if let Event::Reply { ticket, data, .. } = event {
             let is_locked = ReadStatus1::decode_reply(data)
                 .is_ok_and(|status| status.brake == BrakeCommand::LOCK);
             if is_locked {
-                self.locked.insert(ticket.motor());
+                self.lock(ticket.motor(), now);
             } else if ReleaseBrake::decode_reply(data).is_ok() {
                 self.locked.remove(ticket.motor());
+                self.moving.0.remove(ticket.motor());
             }
         }
         let Some(told) = self.told else { return };
@@ -120,11 +134,11 @@ mod tests {
 
         let mut locks = Locks::new();
         assert!(locks.fails(motor));
-        locks.ask(&setup, &mut master);
+        locks.ask(&setup, &mut master, Instant::ZERO);
         let mut is_stopped = |master: &mut Master<2>| {
             master.stop_all(StopKind::Hold, MotorSet::EMPTY).expect("it has a place");
             while let Some(event) = master.poll_event() {
-                locks.note(&event);
+                locks.note(&event, Instant::ZERO);
             }
             locks.wanted.contains(motor)
         };

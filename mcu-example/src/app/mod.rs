@@ -178,7 +178,7 @@ impl<const N: usize> App<N> {
     #[inline(never)]
     fn go_on(&mut self, is_late: bool, longest: Silence, at: &mut Moment<'_, N, impl Board>) {
         // Before anything else is asked.
-        self.locks.ask(&self.setup, at.master);
+        self.locks.ask(&self.setup, at.master, at.now);
         match &mut self.state {
             State::Stopping { .. } | State::Stopped { .. } => self.go_on_stopping(at),
             State::Running { cycles, overruns, .. } => {

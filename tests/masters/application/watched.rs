@@ -23,6 +23,7 @@ on_both_buses! {
     a_slip_while_another_motor_lets_go_is_seen_at_once
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
+    a_load_that_sinks_before_it_ran_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
 }
 
@@ -213,6 +214,27 @@ fn a_load_that_sinks_until_its_brake_has_locked_is_no_slip<B: Moved>() {
             firmware.press(millis(50));
             firmware.run_for(millis(1_500));
             firmware.forget();
+        }
+    }
+}
+
+/// An earlier run of the firmware has opened the brakes. A motor restarts, or has an error and its brake is told to lock.
+fn a_load_that_sinks_before_it_ran_is_no_slip<B: Moved>() {
+    for phase_ms in [0, 7, 14, 21, 28, 35] {
+        for is_restart in [true, false] {
+            let bus = loaded::<B>(2, true);
+            drop(before_shutdown(&bus));
+            let mut firmware = Firmware::start(&bus, Panel::default());
+            firmware.run_for(millis(1_500 + phase_ms));
+            let drive = &bus.drives[0];
+            match is_restart {
+                true => lets_go(&mut firmware, drive, true, 0),
+                false => drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)),
+            }
+            firmware.run_for(millis(1_500));
+            let told = firmware.troubles();
+            let is_slip = told.contains(&Trouble::Turns { motor: id(1) });
+            assert!(!is_slip, "restart: {is_restart}, {phase_ms} ms: {told:?}");
         }
     }
 }
