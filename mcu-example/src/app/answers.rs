@@ -18,10 +18,7 @@ impl<const N: usize> App<N> {
     pub(super) fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         self.locks.note(event, at.now);
         match self.watch.take(event) {
-            // What makes one brake slip may make others slip.
-            Some((_, Answer::Turns)) => {
-                self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
-            }
+            Some((_, Answer::Turns)) => self.slips(at),
             Some((motor, answer)) => self.take_check(motor, answer, at),
             None => {}
         }

@@ -189,7 +189,7 @@ impl<const N: usize> App<N> {
             state => match state.script().map(|it| it.go_on(&self.setup, at.master, at.now)) {
                 Some(Step::Refused(motor)) => self.trouble(Trouble::Refused { motor }, at),
                 Some(Step::Over) => self.script_is_over(at),
-                Some(Step::Waiting) | None => {}
+                Some(Step::Waiting) | None => self.ask_watched(at),
             },
         }
         // In every state, and also to motors whose firmware was not asked for yet: a motor that hears nothing cuts its

@@ -240,6 +240,11 @@ impl Script {
         }
     }
 
+    /// Whether no brake was told to open or to lock yet.
+    pub(super) const fn leaves_brakes(&self) -> bool {
+        matches!(self.part, Part::Find | Part::Protect | Part::ReportErrors)
+    }
+
     /// Asks the next question if none is in flight.
     pub(super) fn go_on<const N: usize>(
         &mut self,

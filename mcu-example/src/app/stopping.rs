@@ -177,19 +177,31 @@ impl<const N: usize> App<N> {
 
     /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
     pub(super) fn watched(&self, now: Instant) -> MotorSet {
-        match self.state {
-            State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => {
-                let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
-                self.locks.among(there.without(unconfirmed), now)
+        let unconfirmed = match &self.state {
+            State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => *unconfirmed,
+            // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting.
+            State::Finding(script) | State::Preparing(script) if script.leaves_brakes() => {
+                MotorSet::EMPTY
             }
             // Their shafts are checked, or nothing holds them, or they move.
-            _ => MotorSet::EMPTY,
+            _ => return MotorSet::EMPTY,
+        };
+        let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
+        self.locks.among(there.without(unconfirmed), now)
+    }
+
+    /// A motor that is watched turns. What makes one brake slip may make others slip, so all that are watched are
+    /// checked: at once if the motors were about to start, otherwise in the next cycle.
+    pub(super) fn slips(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
+        if let State::Finding(_) | State::Preparing(_) = self.state {
+            self.look(self.setup.stop, MotorSet::EMPTY, at);
         }
     }
 
     /// Asks the next of the watched motors. Both rounds may want the same one: the one that has waited for longer is
     /// first.
-    fn ask_watched(&mut self, at: &mut Moment<'_, N, impl Board>) {
+    pub(super) fn ask_watched(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let is_second = self.rounds.is_due(at.now) && self.rounds.is_before(&self.watch);
         if self.watch.is_due(at.now) && !is_second {
             let (motors, asked) = (self.watched(at.now), self.rounds.asked());

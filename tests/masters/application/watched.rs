@@ -21,6 +21,7 @@ on_both_buses! {
     a_motor_that_is_held_again_and_restarts_is_held_again
     after_a_shutdown_in_which_one_turned_the_others_are_watched
     a_slip_while_another_motor_lets_go_is_seen_at_once
+    a_slip_while_motors_are_looked_for_is_seen
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
     a_load_that_sinks_before_it_ran_is_no_slip
@@ -175,6 +176,28 @@ fn a_slip_while_another_motor_lets_go_is_seen_at_once<B: Moved>() {
         // As if nothing else happened: 7 degrees, or 23 where the line may be occupied for 80 ms.
         let most_deg = if B::NAME == "CAN" { 8.0 } else { 23.0 };
         assert!(fallen[0] < most_deg && fallen[1] < 16.0, "{after_ms} ms: {fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
+}
+
+/// On CAN an id without a motor keeps the others waiting for 90 ms.
+fn a_slip_while_motors_are_looked_for_is_seen<B: Moved>() {
+    for (ids, after_ms) in [(8, 0), (8, 60), (32, 0), (32, 400)] {
+        let bus = loaded::<B>(3, true);
+        let setup = Setup { search: MotorId::all().take(ids).collect(), ..B::setup() };
+        let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+        firmware.run_for(millis(1_500));
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Finding), millis(100));
+        firmware.run_for(millis(after_ms));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        slips(&bus.drives[1]);
+        firmware.run_for(millis(1_000));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        let case = format!("{ids} ids, {after_ms} ms: {fallen:?}, {:?}", firmware.panel.reports);
+        assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{case}");
+        let most_deg = if B::NAME == "CAN" { 8.0 } else { 23.0 };
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < most_deg, "{case}");
         stays_held(&mut firmware, &bus);
     }
 }
