@@ -4,10 +4,13 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, Command, ReadStatus1, ReleaseBrake};
 use myactuator_protocol_core::io::bring_up::BRAKE_MOVES;
 use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, TicketId};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::Setup;
 use super::script::Question;
+
+/// A motor is asked within this time, in its turn, whether its brake has locked.
+const SAYS_SO: Duration = Duration::from_secs(1);
 
 /// Knows which brakes are locked, and locks those of some motors.
 #[derive(Debug)]
@@ -63,9 +66,11 @@ impl Locks {
         }
     }
 
-    /// This brake is told to lock, or says that it is locked. It may have just begun to, unless it was known to move.
+    /// This brake is told to lock, or says that it is locked. It may have just begun to, unless it is the one that was
+    /// known to move.
     fn lock(&mut self, motor: MotorId, now: Instant) {
-        if !self.locked.contains(motor) && !self.moving.0.contains(motor) {
+        let is_known = self.moving.0.contains(motor) && now < self.moving.1 + SAYS_SO;
+        if !self.locked.contains(motor) && !is_known {
             self.move_now(motor.into(), now);
         }
         self.locked.insert(motor);
@@ -98,7 +103,6 @@ impl Locks {
                 self.lock(ticket.motor(), now);
             } else if ReleaseBrake::decode_reply(data).is_ok() {
                 self.locked.remove(ticket.motor());
-                self.moving.0.remove(ticket.motor());
             }
         }
         let Some(told) = self.told else { return };
