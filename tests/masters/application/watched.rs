@@ -221,8 +221,8 @@ fn a_slip_while_another_motor_writes_slowly_is_seen<B: Moved>() {
     assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{:?}", firmware.panel.reports);
     assert!(!is_off(&bus.drives[1]));
     let fallen = fallen_deg(&bus, &before_deg);
-    // Also the check asks that motor first: 15 degrees without friction in 145 ms. On RS485 the whole line waits for it,
-    // for 50 ms before and after: 36 degrees in 225 ms.
+    // Also the check asks that motor first: 15 degrees without friction in 145 ms. On RS485 the whole line waits for
+    // it, for 50 ms before and after: 36 degrees in 225 ms.
     let most_deg = if B::NAME == "CAN" { 15.0 } else { 36.0 };
     assert!(fallen[1] < most_deg, "{fallen:?}");
     stays_held(&mut firmware, &bus);
@@ -267,7 +267,8 @@ fn a_load_that_sinks_until_its_brake_has_locked_is_no_slip<B: Moved>() {
     }
 }
 
-/// An earlier run of the firmware has opened the brakes. A motor restarts, or has an error and its brake is told to lock.
+/// An earlier run of the firmware has opened the brakes. A motor restarts, or has an error and its brake is told to
+/// lock.
 fn a_load_that_sinks_before_it_ran_is_no_slip<B: Moved>() {
     for phase_ms in [0, 7, 14, 21, 28, 35] {
         for is_restart in [true, false] {
