@@ -167,6 +167,14 @@ impl<'a, B: Moved> Firmware<'a, B> {
         }
     }
 
+    /// Runs from the start until motors have been found and are prepared. No brake was told to open yet.
+    #[track_caller]
+    fn run_until_preparing(&mut self) {
+        self.run_for(millis(1_500));
+        self.press(millis(50));
+        self.run_until(Report::State(StateName::Preparing), millis(1_000));
+    }
+
     fn press(&mut self, span: Duration) {
         self.panel.is_button_down = true;
         self.run_for(span);
@@ -528,9 +536,7 @@ fn a_motor_that_restarts_while_getting_ready_is_not_moved<B: Moved>() {
     for after in [150, 170, 190, 210] {
         let bus = B::drives(&Fleet::new(8).brakes(true)).unwrap();
         let mut firmware = Firmware::start(&bus, Panel::default());
-        firmware.run_for(millis(1_500));
-        firmware.press(millis(50));
-        firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+        firmware.run_until_preparing();
         firmware.run_for(millis(after));
         let now = firmware.runner.now();
         assert_eq!(state(&bus.drives[7]).brake, BrakeCommand::RELEASE);

@@ -93,9 +93,7 @@ fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
     let falls = |motors: u8, after_ms: u64| {
         let bus = loaded::<B>(motors, true);
         let mut firmware = Firmware::start(&bus, Panel::default());
-        firmware.run_for(millis(1_500));
-        firmware.press(millis(50));
-        firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+        firmware.run_until_preparing();
         firmware.run_for(millis(after_ms));
         let last = &bus.drives[usize::from(motors) - 1];
         last.with(|drive| drive.raise_fault(ErrorFlags::STALL));
@@ -121,9 +119,7 @@ fn no_load_falls_where_an_error_comes_while_brakes_open<B: Moved>() {
 fn no_brake_is_opened_if_its_motor_has_an_error<B: Moved>() {
     let bus = loaded::<B>(4, true);
     let mut firmware = Firmware::start(&bus, Panel::default());
-    firmware.run_for(millis(1_500));
-    firmware.press(millis(50));
-    firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+    firmware.run_until_preparing();
     bus.drives[3].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     stays_locked(&mut firmware, &bus.drives[3]);
 }
@@ -375,9 +371,7 @@ fn no_load_falls_where_getting_ready_is_broken_off<B: Moved>() {
         for is_pressed in [false, true] {
             let bus = loaded::<B>(4, true);
             let mut firmware = Firmware::start(&bus, Panel::default());
-            firmware.run_for(millis(1_500));
-            firmware.press(millis(50));
-            firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+            firmware.run_until_preparing();
             let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
             firmware.run_for(millis(after_ms));
             match is_pressed {

@@ -43,9 +43,7 @@ fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
 fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let bus = B::drives(&Fleet::new(8)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
-    firmware.run_for(millis(1_500));
-    firmware.press(millis(50));
-    firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+    firmware.run_until_preparing();
     let began = firmware.runner.now();
     for drive in &bus.drives {
         let is_protected = || drive.with(|drive| drive.settings().protection_timeout.raw() == 500);

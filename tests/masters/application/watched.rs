@@ -208,9 +208,7 @@ fn a_slip_while_motors_are_looked_for_is_seen<B: Moved>() {
 fn a_slip_while_another_motor_writes_slowly_is_seen<B: Moved>() {
     let bus = loaded::<B>(2, true);
     let mut firmware = Firmware::start(&bus, Panel::default());
-    firmware.run_for(millis(1_500));
-    firmware.press(millis(50));
-    firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+    firmware.run_until_preparing();
     unplug(&bus, &bus.drives[0]);
     let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
     slips(&bus.drives[1]);
@@ -294,9 +292,7 @@ fn a_load_that_sinks_after_a_start_that_was_broken_off_is_no_slip<B: Moved>() {
     for phase_ms in [0, 7, 14, 21, 28, 35] {
         let bus = loaded::<B>(2, true);
         let mut firmware = Firmware::start(&bus, Panel::default());
-        firmware.run_for(millis(1_500));
-        firmware.press(millis(50));
-        firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+        firmware.run_until_preparing();
         firmware.run_for(millis(150));
         break_off(&mut firmware);
         firmware.run_for(millis(1_500 + phase_ms));
