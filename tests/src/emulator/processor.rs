@@ -1,8 +1,8 @@
 //! One processor for emulator and simulation, and how long the machine kept it from them.
 //!
 //! They hand over to each other at each byte, and have to answer each other within a millisecond. A virtual machine
-//! takes up to milliseconds to wake a processor that sleeps, so both share one, which a thread without any priority keeps
-//! awake. The simulation needs microseconds at a time, and goes before the emulator.
+//! takes up to milliseconds to wake a processor that sleeps, so both share one, which a thread without any priority
+//! keeps awake. The simulation needs microseconds at a time, and goes before the emulator.
 
 use std::cell::Cell;
 use std::hint;

@@ -14,8 +14,8 @@ use super::{Failure, processor, target_dir};
 const NAME: &str = "qemu-system-arm";
 
 /// Runs the emulator until standard input is closed, so that the emulator ends whenever this process ends. Standard
-/// output ends with the emulator, which gets the processor that the first argument names, and goes before other ordinary
-/// processes there, if the system allows that. The script ignores Ctrl-C in a terminal.
+/// output ends with the emulator, which gets the processor that the first argument names, and goes before other
+/// ordinary processes there, if the system allows that. The script ignores Ctrl-C in a terminal.
 const KEEPER: &str = r#"
     trap '' INT HUP TERM
     processor=$1; shift

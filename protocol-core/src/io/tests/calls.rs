@@ -443,12 +443,12 @@ fn zero_is_kept_if_the_angle_is_0_and_the_offset_the_stored_one() {
 
 #[test]
 fn zero_may_be_written_only_after_an_answered_shutdown() {
-    let (_, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x64));
+    let (_, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x64));
     let why = CallError::Failed { motor: id(1), failure: Failure::NoReply };
     let outcome = bring_up::zero_here(&mut arm, id(1));
     assert_eq!(outcome, Err(BringUpError::MayBeWritten { motor: id(1), why }));
     // Without an answer to the shutdown before it nothing is written.
-    let (bus, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x80));
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x80));
     let outcome = bring_up::zero_here(&mut arm, id(1));
     assert_eq!(outcome, Err(BringUpError::Call(why)));
     assert!(bus.sent().iter().all(|data| data[0] != 0x64));
@@ -522,8 +522,7 @@ fn id_change_that_no_motor_took_restarts_none() {
     assert!(!is_sent(&bus, Reset.encode()));
 
     // Alone on the bus it is given its id by 0x79, too.
-    let (bus, mut arm) =
-        hearing(move |packet| usize::from(packet.channel == Channel::Reply(id(1))));
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.channel == Channel::Reply(id(1))));
     let changed = bring_up::change_id(&mut arm, id(1), id(5));
     let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: true };
     assert_eq!(changed, Err(refused));

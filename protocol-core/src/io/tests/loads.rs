@@ -161,7 +161,7 @@ fn one_bus_error_while_a_motor_is_switched_off_drops_no_load() {
 /// It may be in motion mode: its brake is open, and it stands.
 #[test]
 fn motor_that_reports_running_nothing_may_still_hold_a_load() {
-    let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x70 => data[7] = 0,
         0x9C if is_locked => data[4] = 90,
         _ => {}
@@ -188,7 +188,7 @@ fn brake_of_a_motor_that_may_run_is_locked_though_reported_locked() {
 /// A motor that runs nothing, and reports its brake as locked, loses no time.
 #[test]
 fn resting_motor_with_a_locked_brake_is_switched_off_at_once() {
-    let (bus, mut arm) = resting(move |data| {
+    let (bus, mut arm) = resting(|data| {
         if data[0] == 0x9A {
             data[3] = LOCKED;
         }
@@ -337,7 +337,7 @@ fn unanswered_shutdown_is_still_checked_for_a_falling_load() {
 /// The brake may not have locked.
 #[test]
 fn motor_is_not_switched_off_if_its_brake_state_is_unknown() {
-    let (bus, mut arm) = holding(move |data, is_locked| {
+    let (bus, mut arm) = holding(|data, is_locked| {
         if data[0] == 0x9A && is_locked {
             data[0] = NO_ANSWER;
         }
@@ -350,7 +350,7 @@ fn motor_is_not_switched_off_if_its_brake_state_is_unknown() {
 /// The load fell before: no motor is made to hold what it did not hold.
 #[test]
 fn slipping_brake_of_a_motor_that_held_nothing_is_not_reopened() {
-    let (bus, mut arm) = resting(move |data| match data[0] {
+    let (bus, mut arm) = resting(|data| match data[0] {
         0x9A => data[3] = LOCKED,
         0x9C => data[4] = 90,
         _ => {}
@@ -384,7 +384,7 @@ fn brake_is_locked_if_the_load_is_not_at_rest_within_half_a_second() {
 /// The motor does not report what it runs. One that draws a current may swing a little.
 #[test]
 fn brake_is_locked_at_once_if_the_motor_turns_and_draws_no_current() {
-    let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x70 => data[0] = NO_ANSWER,
         0x9C if !is_locked => (data[2], data[3], data[4]) = (0, 0, 90),
         _ => {}
@@ -413,7 +413,7 @@ fn release_returns_only_once_the_load_is_at_rest() {
 /// The encoder is noisy, or somebody turns the shaft.
 #[test]
 fn release_waits_half_a_second_at_most_for_a_trembling_shaft() {
-    let (_, mut arm) = holding(move |data, _| {
+    let (_, mut arm) = holding(|data, _| {
         if data[0] == 0x9C {
             data[4] = 1;
         }
@@ -456,7 +456,7 @@ fn release_fails_if_the_motor_cuts_its_output_under_its_load() {
 /// A hold that was not acknowledged may not be obeyed: the stop in force repeats it.
 #[test]
 fn motor_that_does_not_acknowledge_its_hold_stays_stopped() {
-    let (_, mut arm) = holding(move |data, _| {
+    let (_, mut arm) = holding(|data, _| {
         if data[0] == 0x81 {
             data[0] = NO_ANSWER;
         }
@@ -468,7 +468,7 @@ fn motor_that_does_not_acknowledge_its_hold_stays_stopped() {
 /// It is not switched off for a restart or a zero that is refused then.
 #[test]
 fn stopped_motor_is_refused_before_its_brake_is_locked() {
-    let (bus, mut arm) = holding(move |_, _| {});
+    let (bus, mut arm) = holding(|_, _| {});
     assert_eq!(arm.stop_all(StopKind::Hold, id(1).into()), MotorSet::EMPTY);
     let before = commanded(&bus).len();
     assert!(bring_up::restart(&mut arm, id(1), id(1)).is_err());
@@ -479,7 +479,7 @@ fn stopped_motor_is_refused_before_its_brake_is_locked() {
 /// The motor has no brake, and knows none of these commands.
 #[test]
 fn no_stop_stays_in_force_if_brake_commands_are_not_answered() {
-    let (bus, mut arm) = holding(move |data, _| {
+    let (bus, mut arm) = holding(|data, _| {
         if [0x70, 0x77, 0x78].contains(&data[0]) {
             data[0] = NO_ANSWER;
         }
@@ -492,7 +492,7 @@ fn no_stop_stays_in_force_if_brake_commands_are_not_answered() {
 /// A drive with an error holds nothing, whatever it reports to run: only the brake can catch a load that turns it.
 #[test]
 fn falling_load_of_a_motor_with_an_error_gets_the_brake_locked() {
-    let (bus, mut arm) = holding(move |data, is_locked| match data[0] {
+    let (bus, mut arm) = holding(|data, is_locked| match data[0] {
         0x9A => data[6] = 2,
         0x9C if !is_locked => data[4] = 90,
         _ => {}
@@ -524,7 +524,7 @@ fn turning_motor_of_unknown_mode_gets_no_lock_while_its_brake_is_open() {
 /// Its gear may hold most of the load.
 #[test]
 fn running_motor_without_current_may_still_hold_a_load() {
-    let (bus, mut arm) = holding(move |data, is_locked| {
+    let (bus, mut arm) = holding(|data, is_locked| {
         if data[0] == 0x9C {
             (data[2], data[3], data[4]) = (0, 0, if is_locked { 90 } else { 0 });
         }
@@ -565,7 +565,7 @@ fn load_that_swings_behind_a_locked_brake_does_not_slip() {
 /// The load was not held before, so that a restart makes that no worse.
 #[test]
 fn motor_that_held_nothing_restarts_though_its_brake_slips() {
-    let (bus, mut arm) = resting(move |data| {
+    let (bus, mut arm) = resting(|data| {
         if data[0] == 0x9C {
             data[4] = 90;
         }

@@ -77,7 +77,7 @@ fn motor_that_runs_nothing_at_its_target_has_not_arrived() {
 /// The release may be obeyed and its answer lost: the brake would open, and nothing hold behind it.
 #[test]
 fn unanswered_brake_release_is_followed_by_holds_each_time() {
-    let (bus, mut arm) = hearing(move |packet| usize::from(packet.data[0] != 0x77));
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x77));
     let outcome = bring_up::release_brake(&mut arm, id(1));
     let (motor, failure) = (id(1), Failure::NoReply);
     assert_eq!(outcome, Err(CallError::Failed { motor, failure }.into()));
@@ -253,7 +253,7 @@ fn locked_brake_slips_if_the_shaft_turns_at_3_dps_or_more() {
 
 #[test]
 fn brake_still_reported_locked_after_a_release_is_an_error() {
-    let (_, mut arm) = says(move |data| {
+    let (_, mut arm) = says(|data| {
         if data[0] == 0x9A {
             data[3] = 0;
         }
