@@ -138,11 +138,11 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
 }
 
 tests_on! {
-    MPS2_CAN as half_a_minute_of_mps2_can, NETDUINO_RS485 as half_a_minute_of_netduino_rs485:
-    nothing_is_lost_in_half_a_minute
+    MPS2_CAN as ten_seconds_of_mps2_can, NETDUINO_RS485 as ten_seconds_of_netduino_rs485:
+    nothing_is_lost_in_ten_seconds
 }
-fn nothing_is_lost_in_half_a_minute(program: Program) {
-    nothing_is_lost(program, 30);
+fn nothing_is_lost_in_ten_seconds(program: Program) {
+    nothing_is_lost(program, 10);
 }
 
 /// Run these by hand: `-- --ignored nothing_is_lost_in_ten_minutes`. Add the name of a program to run only that one.

@@ -105,6 +105,9 @@ impl Owner {
     }
 
     fn field(self, name: &str) -> Field {
+        if self == Self::Other {
+            return Field::Plain;
+        }
         match (self, name) {
             (Self::Broadcast | Self::Motor, "sent") | (Self::Master, "stop_to_all_sent") => Field::Sent,
             (Self::EchoFilter, "forgotten") | (Self::Sent, "at") => Field::MayEcho,
@@ -209,27 +212,31 @@ impl Sink {
             }
             [b'A'..=b'Z', ..] if piece == "Instant" => return self.is_instant = true,
             [b'A'..=b'Z', ..] => self.last_owner = Owner::named(piece),
-            _ if self.field == Field::Ignored && matches!(piece, "true" | "false") => return,
-            _ => self.last_field = self.owner().field(piece),
+            b"true" | b"false" if self.field == Field::Ignored => return,
+            b"true" | b"false" => {}
+            // Which fields there are follows from the name of the struct.
+            [b'a'..=b'z', ..] => return self.last_field = self.owner().field(piece),
+            _ => self.last_field = Field::Plain,
         }
-        piece.hash(&mut self.hasher);
+        self.hasher.write(piece.as_bytes());
     }
 }
 
 impl Write for Sink {
     fn write_str(&mut self, piece: &str) -> fmt::Result {
-        match piece {
-            " { " => {
+        // By bytes, as in `word`.
+        match piece.as_bytes() {
+            b" { " => {
                 // What is in a struct that is left out is left out, too.
                 let is_left_out = self.owner() == Owner::LeftOut;
                 self.owners.push(if is_left_out { Owner::LeftOut } else { self.last_owner });
             }
-            " }" => {
+            b" }" => {
                 self.owners.pop();
             }
             _ if self.owner() == Owner::LeftOut => {}
-            ": " => self.field = self.last_field,
-            ", " | "(" | ")" => {}
+            b": " => self.field = self.last_field,
+            b", " | b"(" | b")" => {}
             _ => self.word(piece),
         }
         Ok(())
