@@ -64,11 +64,11 @@ impl Printer {
         if state.waiting.len() >= room {
             return Ok(false);
         }
-        state.waiting.push_back(text.into());
         if !state.has_thread {
             thread::Builder::new().spawn(|| self.write_all())?;
             state.has_thread = true;
         }
+        state.waiting.push_back(text.into());
         self.changed.notify_all();
         Ok(true)
     }

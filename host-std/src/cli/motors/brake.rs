@@ -58,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
             }
         }
-        Action::Lock => lock(&mut Session::open_to_stop(&arguments.motor.on)?, motor),
+        Action::Lock => lock(&mut Session::open_at_once(&arguments.motor.on)?, motor),
     }
 }
 

@@ -157,12 +157,12 @@ enum Deed {
 /// What the event shows of another program.
 fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };
-    let Some(opcode) = Opcode::from_byte(data[0]) else {
-        // A reply of motion mode begins with the motor's id (5); that of motor 32 looks like one to 0x20.
-        let moves = data[0] == motor.get() || MOVES_OF_V4_4.contains(&data[0]);
-        return moves.then_some((motor, Deed::Moved));
-    };
-    let kind = Kind::Known(opcode);
+    // A reply of motion mode begins with the motor's id (5). That of motor 32 looks like one to 0x20, which counts as
+    // one, too.
+    if data[0] == motor.get() || MOVES_OF_V4_4.contains(&data[0]) {
+        return Some((motor, Deed::Moved));
+    }
+    let kind = Kind::Known(Opcode::from_byte(data[0])?);
     let stopped = StopKind::by(kind).map(Deed::Stopped);
     let deed = stopped.or_else(|| kind.moves().then_some(Deed::Moved))?;
     Some((motor, deed))
@@ -211,8 +211,11 @@ mod tests {
         }
         assert_eq!(deed_of(0x80), Some((motor, Deed::Stopped(StopKind::Off))));
         assert_eq!(deed_of(0x81), Some((motor, Deed::Stopped(StopKind::Hold))));
-        for first in [0x9A, 0x9C, 0x92, 0x77, 0x78, 4, 0xC0] {
+        for first in [0x9A, 0x9C, 0x92, 0x77, 0x78, 4, 0xC0, 0x20] {
             assert_eq!(deed_of(first), None, "{first:02X}");
         }
+        let last = MotorId::new(32).unwrap();
+        let motion = Event::Stray { motor: last, data: [32, 0, 0, 0, 0, 0, 0, 0] };
+        assert_eq!(deed(&motion), Some((last, Deed::Moved)));
     }
 }

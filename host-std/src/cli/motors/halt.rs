@@ -39,6 +39,7 @@ pub(super) fn stop(arguments: &Motors) -> Outcome {
 pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
     let motors = halt(&mut session, arguments.id, StopKind::Off)?;
+    session.are_left_alone(motors)?;
     let are = match motors.len() {
         1 => "is off (0x80): its shaft is free unless a brake holds it",
         _ => "are off (0x80): their shafts are free unless brakes hold them",
@@ -58,13 +59,14 @@ fn of_others(session: &Session, meant: Target, confirmed: MotorSet) -> String {
 /// Returns the motors that have confirmed.
 fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
     if let Target::Motor(motor) = meant {
-        session.stop(kind, motor.into())?;
+        session.confirm_stop(kind, motor.into())?;
+        session.stop_what_moves(kind, motor.into())?;
         return Ok(motor.into());
     }
     let stopped = stop_every_id(session, kind)?;
     // The others are not waited for any more.
     forget(session, MotorSet::ALL.without(stopped));
-    session.see_stopped(kind, stopped)?;
+    session.stop_what_moves(kind, stopped)?;
     Ok(stopped)
 }
 
@@ -359,10 +361,16 @@ mod tests {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
             OtherMaster::attach(&fleet, packet, Sends::Every(Duration::from_millis(every_ms)));
-            let outcome = halt(&mut Session::on(&fleet), meant, kind);
+            let mut session = Session::on(&fleet);
+            let motors = halt(&mut session, meant, kind).unwrap();
+            let outcome = match kind {
+                StopKind::Hold => session.stopped(motors).map(|_| ()),
+                StopKind::Off => session.are_left_alone(motors),
+            };
             let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
-            let why = "but something else on this bus goes on commanding motor 1: end that, or cut the power";
-            assert!(message.ends_with(why), "{message}");
+            let why = "has confirmed the stop, but something else on this bus goes on commanding ";
+            let why_of_all = why.replace("has", "have");
+            assert!(message.contains(why) || message.contains(&why_of_all), "{message}");
         }
     }
 

@@ -14,6 +14,22 @@ use crate::cli::{Outcome, Unfinished, report};
 const NO_FRAME: &str =
     "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
 
+/// How to try other bit rates on this bus.
+pub(super) fn other_rates(address: &BusAddress) -> String {
+    match address {
+        BusAddress::Rs485 { .. } | BusAddress::Slcan { .. } => {
+            format!("'myactuator scan --all-rates --bus {address}' tries the others")
+        }
+        BusAddress::SocketCan { interface } => format!(
+            "the bit rate of {interface} is set outside this program: scan again after 'sudo ip link set {interface} down' \
+             and 'sudo ip link set {interface} up type can bitrate 500000', or 1000000"
+        ),
+        BusAddress::Simulated { .. } => {
+            "all simulated motors have the rate of their bus".to_owned()
+        }
+    }
+}
+
 impl Session {
     /// The command to type for this on this bus.
     pub(super) fn hint(&self, subcommand: &str, whom: impl Into<Target>) -> String {
@@ -24,9 +40,9 @@ impl Session {
         format!("'myactuator {subcommand} --bus {} --id {whom}'", self.address)
     }
 
-    /// The command that tries other bit rates, or says how to.
+    /// How to try other bit rates.
     pub(super) fn other_rates(&self) -> String {
-        format!("'myactuator scan --all-rates --bus {}' tries the others", self.address)
+        other_rates(&self.address)
     }
 
     /// Why a call has no answer, with the likely cause.

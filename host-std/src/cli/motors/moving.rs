@@ -37,6 +37,10 @@ const RUNS_NOTHING: &str =
 const ON_AGAIN: &str =
     "was switched off and on again by something else on this bus: its state is not known";
 
+/// The state of a motor that another program commands.
+const COMMANDED: &str = "has confirmed the stop, but something else on this bus goes on commanding it: end that, or cut \
+                         the power";
+
 /// The states of motors that were told to hold.
 #[derive(Default)]
 struct Looks {
@@ -123,7 +127,9 @@ impl Session {
 
     /// Stops these motors in the same way, and returns their states.
     pub(super) fn stopped_by(&mut self, kind: StopKind, motors: MotorSet) -> Outcome<String> {
-        self.stop(kind, motors).and_then(|()| self.stopped(motors))
+        self.confirm_stop(kind, motors)?;
+        self.stop_what_moves(kind, motors)?;
+        self.stopped(motors)
     }
 
     /// Stops these motors and waits until they have confirmed. Retries if a line fails for a moment.
@@ -137,9 +143,15 @@ impl Session {
             silent = self.silent_at_stop(kind, silent);
             if !silent.is_empty() && self.master.awake() - begun >= LONGEST_OUTAGE {
                 let is_there = silent.iter().all(|motor| self.has_heard(motor));
-                let doubt = if is_there { "" } else { "if it is on this bus, " };
+                let doubt = match (is_there, silent.len()) {
+                    (true, _) => "",
+                    (false, 1) => "if it is on this bus, ",
+                    (false, _) => "if they are on this bus, ",
+                };
+                let its = if silent.len() == 1 { "its" } else { "their" };
                 return Err(Unfinished::Failed(format!(
-                    "no confirmation of the stop from motor {silent}: {doubt}cut its power{}",
+                    "no confirmation of the stop from {}: {doubt}cut {its} power{}",
+                    named(silent),
                     self.echo_told_of()
                 )));
             }
@@ -148,30 +160,39 @@ impl Session {
     }
 
     /// Stops these motors and returns those that have not confirmed. A single motor gets a stop of its own: on RS485 a
-    /// stop of all would also reach the others on the line, which may hold a load.
+    /// stop of all would also reach the others on the line, which may hold a load. It is sent if they may move, too.
     fn silent_at_stop(&mut self, kind: StopKind, motors: MotorSet) -> MotorSet {
+        let others_move = !self.master.moved.without(motors).is_empty();
         let mut each = motors.iter();
         match (each.next(), each.next()) {
-            (Some(only), None) if self.master.stop(only, kind) => MotorSet::EMPTY,
-            (Some(_), None) => motors,
+            (Some(only), None) if !others_move => match self.master.stop(only, kind) {
+                true => MotorSet::EMPTY,
+                false => motors,
+            },
             _ => self.master.stop_all(kind, motors),
         }
     }
 
-    /// Checks that nothing else on the bus goes on moving these motors, which have confirmed the stop. A program that
-    /// gives way to a stop, as this one does, may have sent once more before it heard of the stop: so there is a second
-    /// stop.
+    /// Checks that nothing else on the bus goes on moving these motors, which have confirmed the stop.
     pub(super) fn see_stopped(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
-        let mut moved = self.moved_elsewhere(motors);
-        if !moved.is_empty() {
-            self.confirm_stop(kind, moved)?;
-            moved = self.moved_elsewhere(motors);
-        }
-        self.is_left_alone(motors, moved)
+        self.stop_what_moves(kind, motors)?;
+        self.are_left_alone(motors)
     }
 
-    /// Fails if something else has moved some of these motors.
-    fn is_left_alone(&self, motors: MotorSet, moved: MotorSet) -> Outcome {
+    /// Stops those of these motors again that something else has moved since they have confirmed the stop. A program
+    /// that gives way to a stop, as this one does, may have sent once more before it heard of the stop.
+    pub(super) fn stop_what_moves(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+        let moved = self.moved_elsewhere(motors);
+        if !moved.is_empty() {
+            self.confirm_stop(kind, moved)?;
+            let _moved = self.moved_elsewhere(motors);
+        }
+        Ok(())
+    }
+
+    /// Fails if something else has moved some of these motors since they confirmed the stop.
+    pub(super) fn are_left_alone(&self, motors: MotorSet) -> Outcome {
+        let moved = self.moved_on(motors);
         if moved.is_empty() {
             return Ok(());
         }
@@ -219,6 +240,9 @@ impl Session {
         // By now they have heard this program for a while. A motor that had lost its master confirms its first commands
         // without running them, and runs them now.
         let Looks { mut failing, idle, .. } = self.look_at_held(on);
+        let commanded = self.moved_on(motors);
+        let told = |motor| (motor, COMMANDED.to_owned());
+        failing.extend(commanded.iter().map(told));
         if !idle.is_empty() {
             self.confirm_stop(StopKind::Hold, idle)?;
         }
@@ -230,6 +254,8 @@ impl Session {
         let free = idle.without(locked).without(off);
         failing.extend(free.iter().map(|motor| (motor, RUNS_NOTHING.to_owned())));
         failing.extend(was_off.without(off).iter().map(|motor| (motor, ON_AGAIN.to_owned())));
+        // A program that sends seldom may be heard only now.
+        failing.extend(self.moved_on(motors).without(commanded).iter().map(told));
         let off = off.without(of(&failing));
         let locked = idle.without(free).without(off);
         let holding = motors.without(off).without(locked).without(of(&failing));
@@ -237,8 +263,6 @@ impl Session {
         let mut others: Vec<_> = off.iter().map(|motor| (motor, OFF.to_owned())).collect();
         others.extend(failing);
         others.sort_unstable_by_key(|(motor, _)| *motor);
-        // A program that sends seldom may be heard only now.
-        self.is_left_alone(motors, self.moved_on(motors))?;
         let others = others.into_iter().map(|(motor, told)| format!("motor {motor} {told}"));
         let holding = (!holding.is_empty()).then(|| hold_still(holding));
         let braked = (!locked.is_empty()).then(|| braked(locked));
@@ -427,6 +451,7 @@ mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::plant::{Arm, Load};
     use myactuator_host_std::sim::{CanFleet, Fleet};
+    use myactuator_protocol_core::command::ErrorFlags;
     use myactuator_protocol_core::command::{
         AbsolutePosition, AccelerationIndex, Speed, WriteAcceleration,
     };
@@ -436,6 +461,7 @@ mod tests {
         Acceleration, Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
     };
 
+    use super::super::simulated::{OtherMaster, Sends, to_first};
     use super::*;
 
     #[test]
@@ -557,6 +583,22 @@ mod tests {
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         assert!(message.contains("motor stalled"), "{message}");
+    }
+
+    #[test]
+    fn error_of_one_motor_is_reported_beside_another_that_is_commanded_elsewhere() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let torque = to_first([0xA1, 0, 0, 0, 10, 0, 0, 0]);
+        OtherMaster::attach(&fleet, torque, Sends::Every(Duration::from_millis(5)));
+        fleet.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        let motors = MotorId::all().take(2).collect();
+        let outcome = Session::on(&fleet).stopped_by(StopKind::Hold, motors);
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        for part in
+            ["motor 1 has confirmed the stop, but something else", "motor 2", "motor stalled"]
+        {
+            assert!(message.contains(part), "{message}");
+        }
     }
 
     #[test]

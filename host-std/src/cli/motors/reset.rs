@@ -109,10 +109,12 @@ mod tests {
         let mut session = Session::on(&fleet);
         let baud_rate = BaudCode::CAN_500K_RS485_115200;
         session.ask(MotorId::MIN, SetBaudRate { baud_rate }).unwrap();
+        session.address = "slcan:/dev/ttyACM0@1000000".parse().unwrap();
         let message = restart(&mut session, MotorId::MIN);
         let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
         assert!(message.starts_with("motor 1 does not answer: check its power, "), "{message}");
-        assert!(message.contains("'myactuator scan --all-rates --bus sim:1' tries"), "{message}");
+        let hint = "'myactuator scan --all-rates --bus slcan:/dev/ttyACM0@1000000' tries";
+        assert!(message.contains(hint), "{message}");
     }
 
     #[test]

@@ -10,6 +10,7 @@ use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
+use super::hints::other_rates;
 use super::on_bus::OnBus;
 use super::session::{Session, say, shared};
 use crate::cli::{Outcome, Unfinished, report};
@@ -46,6 +47,9 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         let config = address.config();
         let (mut session, found) = match Session::open_with(address.clone(), config) {
             Ok(mut session) => {
+                if !arguments.all_rates {
+                    session.note_slow_adapter();
+                }
                 let found = look(&mut session)?;
                 (Some(session), found)
             }
@@ -154,12 +158,9 @@ fn at_each_rate(bus: &BusAddress) -> Outcome<Vec<BusAddress>> {
         BusAddress::Slcan { path, .. } => {
             Ok(CAN_RATES.map(|rate| BusAddress::Slcan { path: path.clone(), rate }).to_vec())
         }
-        BusAddress::SocketCan { interface } => Err(Unfinished::Usage(format!(
-            "--all-rates: the bit rate of {interface} is set outside this program: scan again after 'sudo ip link set {interface} down' and 'sudo ip link set {interface} up type can bitrate 500000', or 1000000"
-        ))),
-        BusAddress::Simulated { .. } => Err(Unfinished::Usage(
-            "--all-rates: all simulated motors have the rate of their bus".to_owned(),
-        )),
+        BusAddress::SocketCan { .. } | BusAddress::Simulated { .. } => {
+            Err(Unfinished::Usage(format!("--all-rates: {}", other_rates(bus))))
+        }
     }
 }
 

@@ -31,6 +31,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// shaft go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for
 /// commands that only read or end motion, for 0xB6, and for all motors.
 ///
+/// On RS485 the replies of several motors to a command to all collide, so they are not required.
+///
 /// Exit status: 0 sent, and answered by each motor that had to, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
 #[command(arg_required_else_help = false, after_help = paragraphs([STOPS, SIGNALS]))]
@@ -66,6 +68,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
     let config = Config { firmware: read_as(arguments), ..bus.config() };
     let session = Session::open_with(bus, config)?;
+    session.note_slow_adapter();
     let mut session = Session { yes: arguments.consent.yes, ..session };
     if let Target::Motor(motor) = target {
         session.look_for_two(motor, kind)?;
@@ -120,6 +123,10 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     // After a command that moves, the motor is stopped if something fails, or if the program ends before its reply is
     // read.
     session.moving(motors, |session| {
+        if target == Target::All {
+            // Also those that the scan has not found.
+            session.master.moved = MotorSet::ALL;
+        }
         send(session)?;
         session.wait_for_reader()
     })?;
@@ -258,11 +265,16 @@ impl Sending {
             return Ok(());
         }
         if at_once {
-            return say(&format!(
-                "{}: sent {}; on RS485 the replies of several motors collide, so it is not known which of them have received it",
-                named(motors),
-                self.words()
-            ));
+            report(
+                "note",
+                format!(
+                    "{}: sent {}; on RS485 the replies of several motors collide, so it is not known which of them have \
+                     received it",
+                    named(motors),
+                    self.words()
+                ),
+            );
+            return Ok(());
         }
         let unknown = match self.kind() {
             Kind::Known(_) => "",
@@ -437,6 +449,31 @@ mod tests {
         let mut session = Session::on(&fleet);
         session.interrupted.store(true, Ordering::Relaxed);
         assert_eq!(run_on(&mut session, &typed("--id 1 read-status1")), Ok(()));
+    }
+
+    /// Motor 2 never answers, so a scan does not find it. It hears the command to all.
+    #[test]
+    fn command_to_all_that_fails_is_followed_by_a_stop_to_all() {
+        let turns = |faults: &[String]| {
+            let faults = faults.iter().map(|fault| fault.parse().unwrap());
+            let fleet = Fleet::new(2).faults(faults).on_can(1_000_000).unwrap();
+            let mut session = Session::on(&fleet);
+            let arguments = typed("--id all speed --speed-dps 90 --max-torque-pct 0");
+            let outcome = run_on(&mut session, &arguments);
+            let later = session.master.now() + Duration::from_secs(1);
+            session.wait_until(later).unwrap();
+            (outcome, fleet.drives[1].with(|drive| drive.plant().output_speed_dps() > 80.0))
+        };
+        let deaf = "lose=1@2,from-drives".to_owned();
+        let fleet = Fleet::new(2).faults([deaf.parse().unwrap()]).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        assert_eq!(session.meant(Target::All), Ok(MotorId::MIN.into()));
+        let after_scan = session.master.now().as_micros();
+        assert_eq!(turns(std::slice::from_ref(&deaf)), (Ok(()), true));
+        let (outcome, turns) = turns(&[deaf, format!("lose=1@1,from-drives+{after_scan}us")]);
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.starts_with("no reply from motor 1"), "{message}");
+        assert!(!turns, "{message}");
     }
 
     #[test]

@@ -18,6 +18,7 @@ use myactuator_protocol_core::opcode::Repeat;
 use myactuator_protocol_core::{Kind, MotorId, Opcode, Target};
 
 use super::elsewhere::Watched;
+use super::moving::LONGEST_WAIT;
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
@@ -143,11 +144,17 @@ impl Session {
         Self::open_on(on.to_look()?)
     }
 
-    /// Opens a bus to stop its motors. That needs no consent, and Ctrl-C and the like do not end it: it is short.
-    pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
-        // The stop goes out even if signals cannot be watched for.
+    /// Opens a bus to end the motion of its motors. That needs no consent, and Ctrl-C and the like do not end it: it is
+    /// short.
+    pub(super) fn open_at_once(on: &OnBus) -> Outcome<Self> {
+        // The command goes out even if signals cannot be watched for.
         let _ = interrupt::watch();
-        Self::open_on(on.to_act()?).map_err(|why| match why {
+        Self::open_on(on.to_act()?)
+    }
+
+    /// The same, to stop them.
+    pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
+        Self::open_at_once(on).map_err(|why| match why {
             Unfinished::Failed(why) => Unfinished::Failed(format!(
                 "{why}; no motor was told to stop: if one must stop now, cut its power"
             )),
@@ -158,10 +165,15 @@ impl Session {
     fn open_on(address: BusAddress) -> Outcome<Self> {
         let config = address.config();
         let session = Self::open_with(address, config)?;
-        if let Some(slow) = session.address.serial_port().and_then(SlowAdapter::at) {
+        session.note_slow_adapter();
+        Ok(session)
+    }
+
+    /// Says how an adapter that is slow gets faster.
+    pub(super) fn note_slow_adapter(&self) {
+        if let Some(slow) = self.address.serial_port().and_then(SlowAdapter::at) {
             report("note", slow);
         }
-        Ok(session)
     }
 
     /// Opens a bus with this configuration.
@@ -215,8 +227,9 @@ impl Session {
         }
     }
 
-    /// Asks the user, unless there is consent or the motors are simulated.
-    pub(super) fn confirm(&self, what: &str) -> Outcome {
+    /// Asks the user, unless there is consent or the motors are simulated. What has arrived meanwhile says nothing about
+    /// what follows.
+    pub(super) fn confirm(&mut self, what: &str) -> Outcome {
         if self.yes || self.address.is_simulated() {
             return Ok(());
         }
@@ -227,10 +240,16 @@ impl Session {
         let mut answer = String::new();
         io::stdin().lock().read_line(&mut answer).map_err(|error| unwritten(&error))?;
         if matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
-            Ok(())
+            self.take_what_waits()
         } else {
             Err(Unfinished::Failed("not confirmed, so nothing was done".to_owned()))
         }
+    }
+
+    /// Takes what has arrived since the bus was last looked at.
+    fn take_what_waits(&mut self) -> Outcome {
+        let soon = self.master.now() + LONGEST_WAIT;
+        self.wait_until(soon)
     }
 
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
@@ -347,7 +366,7 @@ mod tests {
     use myactuator_protocol_core::opcode::ReplyRule;
     use myactuator_protocol_core::time::Duration;
 
-    use super::super::simulated::sent;
+    use super::super::simulated::{OtherMaster, Sends, sent, to_first};
     use super::*;
 
     /// The outcome of a check before this command to motor 1, and whether anything was sent.
@@ -408,6 +427,22 @@ mod tests {
             session.wait_until(session.master.now() + Duration::from_millis(30)).unwrap();
             assert_eq!(session.refuse_shared(MotorId::MIN), Ok(()));
         }
+    }
+
+    /// Another program's stop from before the answer to a question is no reason to stop.
+    #[test]
+    fn what_arrived_during_a_question_says_nothing_about_what_follows() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let stop = to_first([0x80, 0, 0, 0, 0, 0, 0, 0]);
+        OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(10)));
+        let mut session = Session::on(&fleet);
+        fleet.world.run_for(Duration::from_secs(1));
+        session.take_what_waits().unwrap();
+        let outcome = session.moving(MotorId::MIN, |session| {
+            session.ask(MotorId::MIN, ReadStatus2)?;
+            session.check_stopped_elsewhere()
+        });
+        assert_eq!(outcome, Ok(()));
     }
 
     #[test]
