@@ -83,7 +83,8 @@ impl<E> Desk<E> {
         if stop.is_some_and(|kind| state.stop_kind(motor, kind, since) != kind) {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
-        state.admit(motor, command.kind, since)?;
+        state.check(motor, command.kind, since)?;
+        state.note_laid_down(motor, command.kind);
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
@@ -101,7 +102,7 @@ impl<E> Desk<E> {
         command: Untyped,
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
-        state.admit(motor, command.kind, None)?;
+        state.check(motor, command.kind, None)?;
         if state.news_since.is_some_and(|since| since.elapsed() > state.longest_round) {
             return Err(SharedBusError::Held);
         }
@@ -110,6 +111,7 @@ impl<E> Desk<E> {
             return Err(SharedBusError::Refused { motor, refusal });
         }
         slot.set_point = Some(LaidDown { command, laid_at: since_boot(), found_at: None });
+        state.note_laid_down(motor, command.kind);
         self.leave(state);
         Ok(())
     }

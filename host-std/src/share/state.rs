@@ -150,8 +150,8 @@ impl<E> State<E> {
         &mut self.slots[motor.index()]
     }
 
-    /// Admits a command of a caller that began at `since`, or says why not.
-    pub(super) fn admit(
+    /// Whether a command of a caller that began at `since` is admitted.
+    pub(super) fn check(
         &mut self,
         motor: MotorId,
         kind: Kind,
@@ -174,11 +174,15 @@ impl<E> State<E> {
         if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
+        Ok(())
+    }
+
+    /// Takes note of a command that is laid down.
+    pub(super) fn note_laid_down(&mut self, motor: MotorId, kind: Kind) {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
             self.past[motor.index()].is_let_go = false;
         }
-        Ok(())
     }
 
     /// Whether a motor is stopped, or its motion was to be ended since `since`; `None` for a caller that begins now.

@@ -398,6 +398,20 @@ fn stop_by_a_caller_from_before_a_shutdown_leaves_the_motor_off() {
     assert_eq!(taken(&desk), ["stop 1: Hold", "stop 1: Hold"]);
 }
 
+/// A set-point that is refused runs nothing, so the motor is off as before.
+#[test]
+fn a_stop_does_not_switch_on_a_motor_whose_set_point_was_refused() {
+    let desk = new_desk();
+    let since = desk.past(id(3));
+    desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
+    taken(&desk);
+    drop(ask(&desk, 3, Shutdown));
+    let returned = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
+    tells(&returned, 3, RequestError::Restarted);
+    drop(desk.stop(id(3), StopKind::Hold, Some(since)));
+    assert_eq!(taken(&desk), ["stop 3: Off"]);
+}
+
 #[test]
 fn hold_by_a_caller_from_before_a_shutdown_is_refused() {
     let desk = new_desk();
