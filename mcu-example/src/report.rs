@@ -153,7 +153,8 @@ pub enum StateName {
     Running,
     /// Brakes are locked and outputs switched off. Then the shafts are checked.
     ShuttingDown,
-    /// A shutdown was broken off, or a motor turns behind its locked brake. The shafts of the motors whose brakes were
-    /// told to lock, or have locked, are checked, and the motors whose shafts turn are told to hold again.
+    /// A shutdown was broken off, or a motor turns behind its locked brake, which also ends a start. The shafts of the
+    /// motors whose brakes were told to lock, or have locked, are checked, and the motors whose shafts turn are told to
+    /// hold again.
     Looking,
 }

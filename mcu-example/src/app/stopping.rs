@@ -195,6 +195,7 @@ impl<const N: usize> App<N> {
     pub(super) fn slips(&mut self, at: &mut Moment<'_, N, impl Board>) {
         self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
         if let State::Finding(_) | State::Preparing(_) = self.state {
+            self.button.fell(at.now);
             self.look(self.setup.stop, MotorSet::EMPTY, at);
         }
     }

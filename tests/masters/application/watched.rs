@@ -1,5 +1,7 @@
 //! Shafts that are asked again and again whether they stand, and those that are not.
 
+use std::cell::Cell;
+
 use myactuator_host_std::sim::Fleet;
 use myactuator_mcu_example::{Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::Data;
@@ -22,6 +24,7 @@ on_both_buses! {
     after_a_shutdown_in_which_one_turned_the_others_are_watched
     a_slip_while_another_motor_lets_go_is_seen_at_once
     a_slip_while_motors_are_looked_for_is_seen
+    a_press_after_a_slip_that_ended_a_start_starts_nothing
     a_slip_while_another_motor_writes_slowly_is_seen
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
@@ -202,6 +205,28 @@ fn a_slip_while_motors_are_looked_for_is_seen<B: Moved>() {
         assert!(!is_off(&bus.drives[1]) && fallen[1] < most_deg, "{case}");
         stays_held(&mut firmware, &bus);
     }
+}
+
+/// A shaft turns at 5 dps, once. The start has ended, and whoever presses then may have meant to end it.
+fn a_press_after_a_slip_that_ended_a_start_starts_nothing<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Finding), millis(100));
+    let is_first = Cell::new(true);
+    run_altered(&mut firmware, 150, |mut data| {
+        if data[0] == 0x9C && is_first.replace(false) {
+            data[4] = 5;
+        }
+        Some(data)
+    });
+    firmware.run_until(Report::State(StateName::Stopped), millis(500));
+    assert_eq!(firmware.troubles(), [], "it has turned for a moment");
+    firmware.forget();
+    firmware.press(millis(50));
+    firmware.stays_stopped();
+    assert_eq!(firmware.panel.reports, []);
 }
 
 /// A motor accepts its protection only at the third attempt, 100 ms after the first. No brake was told to open yet.
