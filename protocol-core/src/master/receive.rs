@@ -51,7 +51,7 @@ impl<const N: usize> Master<N> {
     /// When something was last heard on the bus, minus the time by which the late window has grown: what was sent may
     /// have been given less time.
     pub(super) fn heard_at_least(&self) -> Instant {
-        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
+        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more);
         Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
     }
 

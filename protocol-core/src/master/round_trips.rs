@@ -13,7 +13,7 @@ pub(super) struct RoundTrips {
     mean_us: u32,
     deviation_us: u32,
     /// What is added to the caller's time-outs now.
-    more: Duration,
+    pub(super) more: Duration,
 }
 
 impl RoundTrips {
@@ -25,11 +25,6 @@ impl RoundTrips {
         let mut trips = Self::default();
         trips.set(config.longest_reply_timeout - config.reply_timeout, config);
         Some(trips)
-    }
-
-    /// What is added to the caller's time-outs now.
-    pub(super) fn more(&self) -> Duration {
-        self.more
     }
 
     /// A reply came after its time-out, which is therefore too short.
