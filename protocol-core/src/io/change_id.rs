@@ -17,7 +17,7 @@ use crate::io::outcome::BringUpError;
 use crate::io::presence::{find, is_there};
 use crate::io::restart::restart_what_is_off;
 use crate::io::standing::{check_not_stopped, check_stands};
-use crate::master::{Event, Failure, MotorSet, Patience};
+use crate::master::{Event, Failure, MotorSet, Patience, has_errors};
 use crate::time::Duration;
 
 /// How long an acknowledgement may take.
@@ -169,7 +169,7 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
             Event::Stray { motor, .. } if motor == id => is_once = false,
             // A second 0x9A looks like a report, and one with errors may well be one (function 3).
             Event::Report { motor, reply } if motor == id && reply.opcode() == kind.opcode() => {
-                is_once &= tells_errors(&reply);
+                is_once &= has_errors(&reply);
             }
             _ => {}
         };
@@ -188,8 +188,4 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
         }
     }
     Ok(false)
-}
-
-fn tells_errors(reply: &AnyReply) -> bool {
-    matches!(reply, AnyReply::ReadStatus1(status) if !status.errors.is_empty())
 }

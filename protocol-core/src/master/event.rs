@@ -271,6 +271,11 @@ impl Event {
     }
 }
 
+/// Whether a reply says that the drive has errors.
+pub(crate) fn has_errors(reply: &AnyReply) -> bool {
+    matches!(reply, AnyReply::ReadStatus1(status) if !status.errors.is_empty())
+}
+
 /// The [`Feedback`] in a reply that can come without a ticket, if it is in that form.
 pub(super) const fn feedback_of(reply: &AnyReply) -> Option<Feedback> {
     match reply {

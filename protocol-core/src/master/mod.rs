@@ -131,6 +131,7 @@ mod tests;
 mod transmit;
 
 pub use config::{Bus, Config, Patience};
+pub(crate) use event::has_errors;
 pub use event::{Event, Failure, Ticket, TicketId};
 pub use health::{Health, Presence};
 pub use motor_set::MotorSet;

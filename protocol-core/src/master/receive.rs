@@ -8,7 +8,7 @@ use crate::master::motor::replies::{Heard, Meaning};
 use crate::master::motor::reports::reported_bit;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::transmit::ForAll;
-use crate::master::{Event, Master};
+use crate::master::{Event, Master, has_errors};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -235,8 +235,4 @@ impl<const N: usize> Master<N> {
     fn count_stray(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| motor.health.stray = motor.health.stray.saturating_add(1));
     }
-}
-
-fn has_errors(reply: &AnyReply) -> bool {
-    matches!(reply, AnyReply::ReadStatus1(status) if !status.errors.is_empty())
 }
