@@ -62,7 +62,7 @@ pub(super) struct Broadcast {
 }
 
 /// The motors that a frame which was sent may still reach, and what it would undo there.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct MayUndo {
     /// It moves these.
     moves: MotorSet,
@@ -101,17 +101,14 @@ impl MayUndo {
         }
     }
 
-    /// The motors for which it may undo this end of their motion.
-    fn by_end(self, end: Kind) -> MotorSet {
-        match StopKind::by(end) {
+    /// Whether it may undo this end of the motion of a motor.
+    fn undoes(self, end: Kind, motor: MotorId) -> bool {
+        let undone = match StopKind::by(end) {
             Some(StopKind::Hold) => self.moves.with(self.lets_go),
             Some(StopKind::Off) => self.moves.with(self.holds),
             None => self.moves,
-        }
-    }
-
-    fn is_none(self) -> bool {
-        self.moves.with(self.lets_go).with(self.holds).is_empty()
+        };
+        undone.contains(motor)
     }
 }
 
@@ -239,7 +236,7 @@ impl Broadcast {
             self.moved_since = MotorSet::ALL;
         }
         self.last = MayUndo::by(kind, config);
-        let may_be_cut = !config.is_rs485() && !self.others.with(self.last).is_none();
+        let may_be_cut = !config.is_rs485() && self.others.with(self.last) != MayUndo::default();
         self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
     }
 
@@ -270,7 +267,7 @@ impl Broadcast {
 
     /// Whether what was sent may still reach this motor and undo this end of its motion.
     pub(super) fn may_undo(&self, end: Kind, motor: MotorId) -> bool {
-        self.others.with(self.last).by_end(end).contains(motor)
+        self.others.with(self.last).undoes(end, motor)
     }
 
     /// The same, if it is known when that ends: on a bus that may be cut only an answer shows it.
