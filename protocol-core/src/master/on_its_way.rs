@@ -74,9 +74,4 @@ impl OnItsWay {
             *self = Self::No;
         }
     }
-
-    /// The drive has answered what ends its motion: nothing from before arrives any more.
-    pub(super) fn finish(&mut self) {
-        *self = Self::No;
-    }
 }

@@ -176,7 +176,9 @@ impl<const N: usize> Master<N> {
         // ends motion, requests that were put before it and further attempts go first, and it waits for them.
         let is_first =
             asked.unanswered > 0 || self.broadcast.is_after(motor.ticket) || asked.ends_motion();
-        motor.may_send_request(asked, self.is_undone_with_all(motor))
+        motor.late.has_room()
+            && !motor.late.may_be_mistaken(asked.question)
+            && !motor.waits_for_motion(asked, self.is_undone_with_all(motor))
             && !self.broadcast.is_in_flight()
             && (is_first || !self.broadcast.is_waiting())
             && !self.is_confusable(motor)

@@ -41,11 +41,6 @@ impl Motor {
         matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485()
     }
 
-    /// What looks like a late reply may be another one: it does not show that the move has arrived.
-    pub(crate) fn note_late_replies_say_nothing(&mut self) {
-        self.is_beyond_late |= self.may_yet_move();
-    }
-
     /// Replies to this question may come late, at most this many.
     pub(crate) fn expect_late(
         &mut self,
@@ -69,7 +64,7 @@ impl Motor {
         let (of, question) = self.late.take(reply, may_be_doubled)?;
         self.last_answered = Some(question);
         if !self.late.may_move() && !self.is_beyond_late {
-            self.on_its_way.finish();
+            self.on_its_way = OnItsWay::No;
         }
         Some(of)
     }

@@ -26,7 +26,7 @@ use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
-use restarts::Position;
+use restarts::{Position, RESTART_TAKES};
 use stopping::{LastStop, Told};
 
 bitflags! {
@@ -268,13 +268,6 @@ impl Motor {
         self.was_missed() && self.health.last_seen().is_none_or(|seen| seen < self.sent)
     }
 
-    /// Whether a waiting request may go, as far as this motor is concerned.
-    pub(super) fn may_send_request(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
-        self.late.has_room()
-            && !self.late.may_be_mistaken(asked.question)
-            && !self.waits_for_motion(asked, is_moved_with_all)
-    }
-
     /// Whether this is to end motion once more and has to wait: until no answer to an earlier attempt can be taken for
     /// that to the last, and, if it was certainly answered, until nothing that was sent before can move the motor any
     /// more.
@@ -436,7 +429,9 @@ impl Motor {
             return false;
         };
         let silence = now - before;
-        self.note_back_after(silence, config, now);
+        if self.was_missed() && silence >= RESTART_TAKES {
+            self.begin_anew(config, now);
+        }
         silence < config.doubled_within()
     }
 

@@ -136,7 +136,8 @@ impl Motor {
     ) -> Meaning {
         let &Heard { packet, at: now, .. } = heard;
         if heard.may_answer_broadcast() {
-            self.note_late_replies_say_nothing();
+            // It looks like a late reply, and may not be one: that does not show that the move has arrived.
+            self.is_beyond_late |= self.may_yet_move();
         }
         match self.take_late(packet, may_be_doubled) {
             None => Meaning::Unasked {

@@ -4,6 +4,7 @@
 use crate::command::{AnyReply, RunTime};
 use crate::master::config::Config;
 use crate::master::event::{Failure, feedback_of};
+use crate::master::motor::stopping::LastStop;
 use crate::master::motor::{LastSent, Motor, News};
 use crate::time::{Duration, Instant};
 
@@ -90,14 +91,6 @@ impl Motor {
         }
     }
 
-    /// It is heard again after this silence.
-    #[inline]
-    pub(super) fn note_back_after(&mut self, silence: Duration, config: &Config, now: Instant) {
-        if self.was_missed() && silence >= RESTART_TAKES {
-            self.begin_anew(config, now);
-        }
-    }
-
     /// It is heard for the first time, so it has started, unless it was told to restart: that may be yet to come.
     #[inline(never)]
     pub(super) fn note_first_heard(&mut self, config: &Config, now: Instant) {
@@ -144,7 +137,10 @@ impl Motor {
         // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
-        self.last_stop.end_by_restart();
+        // It is no longer held.
+        if let LastStop::Confirmed(_) = self.last_stop {
+            self.last_stop = LastStop::None;
+        }
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }

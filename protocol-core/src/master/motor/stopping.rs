@@ -22,6 +22,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{Motor, News};
+use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::{STOP_ATTEMPTS, StopKind};
 use crate::opcode::Opcode;
@@ -60,13 +61,6 @@ pub(crate) enum LastStop {
 }
 
 impl LastStop {
-    /// The motor has restarted: it is no longer held.
-    pub(super) fn end_by_restart(&mut self) {
-        if let Self::Confirmed(_) = self {
-            *self = Self::None;
-        }
-    }
-
     fn is_like(self, stop: &Asked) -> bool {
         match self {
             Self::None => false,
@@ -186,7 +180,7 @@ impl Motor {
 
     /// It has answered this, which ends its motion.
     pub(crate) fn note_motion_ended(&mut self, by: Kind) {
-        self.on_its_way.finish();
+        self.on_its_way = OnItsWay::No;
         // A drive without a brake also acknowledges its lock, and turns on.
         if let Some(stop) = StopKind::by(by) {
             self.last_stop = LastStop::Confirmed(stop);
