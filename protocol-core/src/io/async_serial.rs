@@ -16,7 +16,7 @@ use crate::io::rest::rest;
 use crate::io::runner::LONGEST_IDLE;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::FRAME_LENGTH;
+use crate::wire::rs485::Frame;
 
 /// Runs a [`Master`] on an async serial port with an RS485 transceiver. If the port does not switch the transceiver's
 /// direction on its own, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
@@ -65,12 +65,13 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         });
         let event = event.await;
         match outgoing {
-            Some(bytes) => event.and(self.send(&bytes).await.map(|()| None)),
+            Some(frame) => event.and(self.send(frame).await.map(|()| None)),
             None => event,
         }
     }
 
-    async fn send(&mut self, bytes: &[u8; FRAME_LENGTH]) -> Result<(), S::Error> {
+    async fn send(&mut self, frame: Frame) -> Result<(), S::Error> {
+        let bytes = frame.encode();
         self.unflushed = true;
         let Self { serial, clock, pump, line, .. } = self;
         let until = clock.now() + STUCK_AFTER;
@@ -78,7 +79,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         let mut sending = OnDrop::new(
             (&mut pump.master, line, clock, bytes.as_slice()),
             |(master, line, clock, rest): &mut (&mut Master<N>, &mut Line, &mut K, &[u8])| {
-                line.was_taken(master, bytes, rest, clock.now());
+                line.was_taken(master, frame, rest.is_empty(), clock.now());
             },
         );
         let (_, _, clock, rest) = &mut sending.it;
@@ -164,7 +165,7 @@ struct PolledOnce<'a, 'b, S: ErrorType> {
     serial: &'a mut S,
     line: &'a mut Line,
     read: &'a mut Option<Result<usize, S::Error>>,
-    outgoing: &'a mut Option<[u8; FRAME_LENGTH]>,
+    outgoing: &'a mut Option<Frame>,
     context: &'a mut Context<'b>,
 }
 

@@ -4,7 +4,7 @@ use crate::io::echo::EchoFilter;
 use crate::io::pump::Pump;
 use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
+use crate::wire::rs485::{Fed, Frame, Receiver};
 
 /// Bytes read at once.
 const CHUNK: usize = 32;
@@ -81,28 +81,26 @@ impl Line {
         &mut self,
         pump: &mut Pump<N>,
         now: Instant,
-    ) -> Option<[u8; FRAME_LENGTH]> {
+    ) -> Option<Frame> {
         pump.refusals.pause();
         let frame = Frame::from_packet(&pump.master.poll_transmit(now)?)?;
         let asks = self.echoes.asks_before(&frame, pump.master.offers_first_stop());
         let status = asks.and_then(|motor| pump.master.let_status_go_first(motor));
-        Some(status.and_then(|packet| Frame::from_packet(&packet)).unwrap_or(frame).encode())
+        Some(status.and_then(|packet| Frame::from_packet(&packet)).unwrap_or(frame))
     }
 
-    /// The port has taken what was to be sent, apart from `rest`. It may be heard, and come back.
+    /// The port has taken this frame, or part of it. It may be heard, and come back.
     pub(super) fn was_taken<const N: usize>(
         &mut self,
         master: &mut Master<N>,
-        bytes: &[u8; FRAME_LENGTH],
-        rest: &[u8],
+        frame: Frame,
+        is_whole: bool,
         now: Instant,
     ) {
         master.handle_transmitted(now);
-        if let Ok(frame) = Frame::decode(bytes) {
-            self.echoes.sent(frame, now);
-            if !rest.is_empty() {
-                self.echoes.show_nothing();
-            }
+        self.echoes.sent(frame, now);
+        if !is_whole {
+            self.echoes.show_nothing();
         }
     }
 

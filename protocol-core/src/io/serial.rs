@@ -79,12 +79,13 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Port<N> for SerialPo
     }
 
     fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), S::Error> {
-        let Some(bytes) = self.line.offered(pump, now) else { return Ok(()) };
+        let Some(frame) = self.line.offered(pump, now) else { return Ok(()) };
+        let bytes = frame.encode();
         let mut rest = bytes.as_slice();
         let written = write(self.serial, &mut rest);
         // What the port has taken may be heard and answered, even if writing then fails.
         if rest.len() < bytes.len() {
-            self.line.was_taken(&mut pump.master, &bytes, rest, self.clock.now());
+            self.line.was_taken(&mut pump.master, frame, rest.is_empty(), self.clock.now());
         }
         if !written? {
             pump.bus_is_down(now);
