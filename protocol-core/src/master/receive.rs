@@ -92,7 +92,7 @@ impl<const N: usize> Master<N> {
             from: id,
             packet,
             at: now,
-            to_all: &self.broadcast,
+            to_all: &mut self.broadcast,
             lost_master: &mut self.lost_master,
         };
         let meaning = self.places.of(id).and_then(|place| {
@@ -111,22 +111,13 @@ impl<const N: usize> Master<N> {
             Meaning::SetPointIgnored => Some(Event::SetPointUnanswered { motor: id }),
             Meaning::Answer(ticket, kind, round_trip) => {
                 self.measured(round_trip);
-                if kind.ends_motion() {
-                    self.broadcast.note_motion_ended_of(id);
-                }
                 Some(Event::Reply { ticket, kind, data: packet.data })
             }
             Meaning::StopConfirmed(round_trip) => {
                 self.measured(round_trip);
-                self.broadcast.note_motion_ended_of(id);
                 Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
-            Meaning::OnceMore => {
-                // No broadcast that moves goes between these attempts either.
-                self.broadcast.note_answer_of(id, now, &self.config);
-                None
-            }
             Meaning::OfBroadcast => {
                 let is_answer = self.answers_broadcast(id, packet);
                 let reply = AnyReply::decode(packet, self.config.firmware).ok();

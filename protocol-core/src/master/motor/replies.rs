@@ -27,8 +27,6 @@ pub(crate) enum Meaning {
     StopConfirmed(Option<Duration>),
     /// It answers what was asked, but does not end it: there is nothing to report.
     Nothing,
-    /// It answers what ends motion, which is sent once more: something sent before may still move the motor.
-    OnceMore,
     /// It may also answer the broadcast, and ends nothing.
     OfBroadcast,
     /// It is the late answer to something that was given up.
@@ -42,7 +40,7 @@ pub(crate) struct Heard<'a> {
     pub(crate) from: MotorId,
     pub(crate) packet: &'a Packet,
     pub(crate) at: Instant,
-    pub(crate) to_all: &'a Broadcast,
+    pub(crate) to_all: &'a mut Broadcast,
     pub(crate) lost_master: &'a mut MotorSet,
 }
 
@@ -269,12 +267,14 @@ impl Motor {
                 self.may_move_until(now + config.late_window, config);
             }
             if may_undo || self.may_yet_move() {
-                // Nothing that moves it goes between the attempts to end its motion.
+                // Nothing that moves it, alone or with all, goes between the attempts to end its motion.
                 self.on_its_way.note_bus_alive(now, config);
+                heard.to_all.note_answer_of(motor, now, config);
                 self.waits_to_go_once_more(asked, Proof::Waits, config);
-                return Meaning::OnceMore;
+                return Meaning::Nothing;
             }
             self.note_motion_ended(kind);
+            heard.to_all.note_motion_ended_of(motor);
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {
