@@ -254,7 +254,7 @@ impl<const N: usize> Master<N> {
         config.longest_response = config.longest_response.min(config.reply_timeout);
         Self {
             motors: [Motor::default(); N],
-            places: Places::new(),
+            places: Places::default(),
             broadcast: Broadcast::default(),
             config,
             round_trips,

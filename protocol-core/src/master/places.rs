@@ -48,11 +48,9 @@ impl PlaceSet {
     }
 }
 
-const NOBODY: u8 = u8::MAX;
-
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Places {
-    /// Each motor's place.
+    /// Each motor's place, counted from 1; 0 if it has none.
     of: [u8; MotorId::COUNT],
     /// Those that belong to a motor.
     pub(super) taken: PlaceSet,
@@ -67,33 +65,20 @@ pub(super) struct Places {
 }
 
 impl Places {
-    pub(super) const fn new() -> Self {
-        let none = PlaceSet(0);
-        Self {
-            of: [NOBODY; MotorId::COUNT],
-            taken: none,
-            waiting: none,
-            stops: none,
-            in_flight: none,
-            news: none,
-        }
-    }
-
     pub(super) fn of(&self, motor: MotorId) -> Option<usize> {
-        let place = self.of.get(motor.index()).copied().filter(|&place| place != NOBODY)?;
-        Some(usize::from(place))
+        usize::from(*self.of.get(motor.index())?).checked_sub(1)
     }
 
     pub(super) fn give(&mut self, place: usize, motor: MotorId) {
         if let Some(of) = self.of.get_mut(motor.index()) {
-            *of = place as u8;
+            *of = place as u8 + 1;
         }
         self.taken.set(place, true);
     }
 
     pub(super) fn clear(&mut self, place: usize, motor: MotorId) {
         if let Some(of) = self.of.get_mut(motor.index()) {
-            *of = NOBODY;
+            *of = 0;
         }
         self.taken.set(place, false);
     }
