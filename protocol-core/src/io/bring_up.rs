@@ -5,6 +5,12 @@
 //! use them before a control loop runs, not inside one. A function that waits asks all motors that have a place in the
 //! master for their run times (0xB1) all the while, so that none lets go because it [hears nothing](protect). It cannot
 //! speak to motors of another bus: with several buses, give each a thread or a task of its own.
+//!
+//! # Functions that switch a motor off
+//! [`zero_here`], [`change_id`] and [`restart`] are refused while a stop is in force for the motor, and switch it off
+//! before they do anything else. If it may hold a load, its brake is told to lock (0x78) before it is off. If the load
+//! falls all the same, of a motor without a brake for example, the motor is told to hold it again, and is refused: hold
+//! such a shaft by other means.
 
 use core::ops::ControlFlow;
 
@@ -105,10 +111,7 @@ pub fn wait_until_stands<R: Runner<N>, const N: usize>(
 /// Makes the current position the zero, checks that it is kept, and returns the new offset. Stores the zero (0x64),
 /// restarts the drive (0x76), and reads offset and angle back.
 ///
-/// - This is refused while a stop is in force for the motor, and while the motor turns.
-/// - The motor's output is switched off first. Before that, if the motor may hold a load, its brake is told to lock
-///   (0x78). If a load falls all the same, of a motor without a brake for example, the motor is told to hold it again,
-///   and is refused: hold such a shaft by other means.
+/// - The motor is [switched off](self#functions-that-switch-a-motor-off) first. One that turns is refused.
 /// - If several motors have this id, all of them do this: check first whether the id [is shared](is_shared).
 ///
 /// # Errors
@@ -122,13 +125,12 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
     block_on(task::zero_here(&mut Polled(runner), motor))
 }
 
-/// Gives a motor another id: switches it off, writes the id to its ROM and restarts it.
+/// Gives a motor another id: [switches it off](self#functions-that-switch-a-motor-off), writes the id to its ROM and
+/// restarts it.
 ///
 /// - Function 5 (0x20) names the motor, so it comes first. If the motor does not acknowledge that and is the only one
 ///   on the bus, 0x79 is tried, which all connected motors obey.
-/// - This is refused while a stop is in force for the motor, and while the motor turns.
-/// - Before the motor is switched off, if it may hold a load, its brake is told to lock (0x78). If a load falls all the
-///   same, of a motor without a brake for example, the motor is told to hold it again, and is refused.
+/// - A motor that turns is refused.
 /// - This asks all ids first, and both of these afterwards. So the master needs a place for each of the two besides
 ///   those of the other motors that it knows: `CanMaster<_, _, 8>` for six motors, for example. Without them nothing is
 ///   written.
@@ -277,10 +279,8 @@ pub fn protect<R: Runner<N>, const N: usize>(
 
 /// Restarts a drive (0x76) and waits until it answers under the id `then`, which may be a new one.
 ///
-/// - A stop in force refuses this.
-/// - The motor's output goes off. Before that, if the motor may hold a load, its brake is told to lock (0x78), and the
-///   motor is switched off. A motor that turns while it runs something is refused. So is one whose load falls then: it
-///   is told to hold it again. If it cannot hold, or held nothing before, it is restarted all the same.
+/// - The motor is [switched off](self#functions-that-switch-a-motor-off) first. One that turns while it runs something
+///   is refused. One whose load falls and that cannot hold it, or that held nothing before, is restarted all the same.
 /// - The brake of a motor that answers nothing is told to lock, too, since the motor may still hear.
 /// - A drive that goes on running has not heard the restart, and is told again. Its run time (0xB1) shows that, or that
 ///   it answers under its old id.

@@ -40,9 +40,7 @@ use crate::time::Instant;
 /// in one thread, the second bus is stopped only after that if the first is cut; [`Guards`] stop several at the same
 /// time.
 ///
-/// If the watchdog of your firmware does not wait that long, call [`Master::stop_all`] and go on with your loop, whose
-/// events report which motors have confirmed. Set a time limit of your own: while the bus takes nothing there is no
-/// event, not even that no motor has confirmed.
+/// If the watchdog of your firmware does not wait that long, stop the motors [without waiting](Runner::stop_all).
 ///
 /// **A motor that has not confirmed may obey a frame that still lies in a controller** when the motor's power or cable
 /// comes back. Cut the motor's power. Before that power comes back, go on running the bus with the stop in force, or

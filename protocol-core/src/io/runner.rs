@@ -84,8 +84,7 @@ pub trait Runner<const N: usize> {
         block_on(Polled(self).ask_with(motor, command, patience, on_event))
     }
 
-    /// Sends a command to one motor and waits for its answer; if the command has none, until it was sent. Other events
-    /// are ignored.
+    /// As [`ask_with`](Self::ask_with), with the usual time-out and attempts. Other events are ignored.
     ///
     /// # Errors
     /// As [`ask_with`](Self::ask_with).
@@ -175,8 +174,8 @@ pub trait Runner<const N: usize> {
     /// - A motor that a stop has switched off stays off until that stop is lifted, even if this one is to hold it.
     /// - Until [`Master::lift_stop`] whatever may move a motor is refused.
     ///
-    /// If your watchdog does not wait that long, call [`Master::stop_all`] and go on with your loop, with a time limit
-    /// of your own. Events then report which motors have confirmed.
+    /// If your watchdog does not wait that long, call [`Master::stop_all`] and go on with your loop. Events then report
+    /// which motors have confirmed; while the bus takes nothing there is none, so set a time limit of your own.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         block_on(Polled(self).stop_all(kind, also))

@@ -194,12 +194,12 @@ pub enum Event {
     },
     /// A motor has not confirmed the stop, after many attempts: cut its power.
     ///
-    /// While the stop is in force it is still sent, every 100 ms or so and as soon as the motor is heard again, until
-    /// the motor has answered it or another command that stops it (0x80, 0x81). Then
-    /// [`StopConfirmed`](Self::StopConfirmed), or that command's reply, follows.
+    /// While the stop is in force it is still [sent](crate::master::Master::stop_all), until the motor has answered it
+    /// or another command that stops it (0x80, 0x81). Then [`StopConfirmed`](Self::StopConfirmed), or that command's
+    /// reply, follows.
     ///
-    /// Not reported while the bus takes nothing at all: the stop then waits, and there may be no event. Have a time
-    /// limit of your own.
+    /// Not reported while the bus takes nothing at all: have a
+    /// [time limit of your own](crate::master::Master::stop_all).
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,

@@ -79,14 +79,8 @@
 //! - Any echo that comes more than 100 ms after its sending, although the port was found empty in between.
 //!
 //! ## A restart is not noticed, or seen where there was none
-//! No frame announces a restart. It shows by one of these signs (see [`Event::Restarted`]), and is not noticed without
-//! them:
-//!
-//! - Nothing is heard of the motor for a second, and then a command is not answered, or a move is to be sent after one
-//!   that was not answered.
-//! - Its run time (0xB1), when it is read, is shorter than it must be.
-//! - Its angle jumps under a stream. At thousands of degrees a second, feedback that comes later and later may look
-//!   like such a jump.
+//! No frame announces a restart, which is noticed only by the signs that [`Event::Restarted`] lists. One of them may
+//! mislead: at thousands of degrees a second, feedback that comes later and later may look like a jump.
 //!
 //! ## Another master moves a motor that is stopped here
 //! The motor's answer to that is an [`Event::Stray`]. No stop follows automatically.
