@@ -8,7 +8,7 @@
 //!
 //! # Functions that switch a motor off
 //! [`zero_here`], [`change_id`] and [`restart`] are refused while a stop is in force for the motor, and switch it off
-//! before they do anything else. If it may hold a load, its brake is told to lock (0x78) before it is off. If the load
+//! before they write or restart anything. If it may hold a load, its brake is told to lock (0x78) before. If the load
 //! falls all the same, of a motor without a brake for example, the motor is told to hold it again, and is refused: hold
 //! such a shaft by other means.
 
