@@ -22,7 +22,7 @@
 //! | `port` | [`port`] | socketcan, rustix, embedded-io, embassy-futures, nb |
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io and its async traits, nb |
 //! | `port` and `sim` | [`open`], [`share`], [`serve`] | |
-//! | `cli` (default) | the program `myactuator`, and all of the above | clap, indicatif, signal-hook |
+//! | `cli` (default) | the program `myactuator`, and all of the above | clap, signal-hook |
 //! | `can-stack` | nothing: a test that uses its machine's CAN interfaces is built | |
 //!
 //! A library that only needs simulated drives depends on this crate with `default-features = false` and

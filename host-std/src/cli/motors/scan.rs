@@ -1,6 +1,5 @@
 //! `myactuator scan`: which motors are on a bus.
 
-use indicatif::ProgressBar;
 use myactuator_host_std::open::{BusAddress, BusError};
 use myactuator_host_std::port::PortError;
 use myactuator_host_std::text::slcan::Rate;
@@ -87,14 +86,7 @@ const fn is_of_rate(error: &BusError) -> bool {
 }
 
 fn look(session: &mut Session) -> Outcome<Found> {
-    let bar = if session.address.is_simulated() {
-        ProgressBar::hidden()
-    } else {
-        ProgressBar::new(MotorId::COUNT as u64)
-    };
-    let found = bring_up::scan(&mut session.master, MotorSet::ALL, |_, _| bar.inc(1));
-    bar.finish_and_clear();
-    match found {
+    match bring_up::scan(&mut session.master, MotorSet::ALL, |_, _| {}) {
         Ok(motors) => Ok(Ok(motors)),
         Err(CallError::Bus(error)) if error.is_outage() => Ok(Err(error)),
         Err(error) => Err(Unfinished::of_scan(error)),
