@@ -8,13 +8,12 @@ use clap::Args;
 use myactuator_host_std::BusKind;
 use myactuator_host_std::open::AnyMaster;
 use myactuator_host_std::sim::Fleet;
-use myactuator_host_std::sim::bus::{Medium, World, trace};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     AbsolutePosition, AnyReply, MotionRanges, MotionSetPoint, ReadMultiTurnAngle, ReadStatus2,
 };
 use myactuator_protocol_core::io::{Runner, bring_up};
-use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
@@ -23,9 +22,6 @@ use super::{Outcome, Unfinished, names};
 const MOTORS: u8 = 4;
 /// Of either bus.
 const BIT_RATE: u32 = 1_000_000;
-/// What the simulated drives take from a command to its reply, on average.
-const RESPONSE: Duration = Duration::from_micros(800);
-const RESPONSE_SPREAD: Duration = Duration::from_micros(100);
 
 /// Show four simulated drives at work: no motor and no bus needed
 ///
@@ -51,29 +47,23 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     })
 }
 
-/// A master, what is known about its wire, and the output.
+/// A master, its kind of bus, and the output.
 struct Tour {
     bus: BusKind,
     master: AnyMaster<8>,
-    means: Means,
     out: StdoutLock<'static>,
 }
 
 impl Tour {
     fn start(bus: BusKind) -> Told<Self> {
-        let min = Duration::from_micros(RESPONSE.as_micros() - RESPONSE_SPREAD.as_micros());
-        let fleet = Fleet::new(MOTORS).response(min, RESPONSE + RESPONSE_SPREAD);
+        let fleet = Fleet::new(MOTORS);
         let mut out = io::stdout().lock();
-        let (master, means, name) = match bus {
+        let (master, name) = match bus {
             BusKind::Can => {
-                let fleet = fleet.on_can(BIT_RATE)?;
-                let means = means(&fleet.world);
-                (AnyMaster::SimulatedCan(fleet.master()), means, "a CAN bus")
+                (AnyMaster::SimulatedCan(fleet.on_can(BIT_RATE)?.master()), "a CAN bus")
             }
             BusKind::Rs485 => {
-                let fleet = fleet.on_rs485(BIT_RATE)?;
-                let means = means(&fleet.world);
-                (AnyMaster::SimulatedRs485(fleet.master()), means, "an RS485 line")
+                (AnyMaster::SimulatedRs485(fleet.on_rs485(BIT_RATE)?.master()), "an RS485 line")
             }
         };
         writeln!(
@@ -81,7 +71,7 @@ impl Tour {
             "{MOTORS} simulated drives on {name} at {} Mbit/s, in virtual time.",
             BIT_RATE / 1_000_000
         )?;
-        Ok(Self { bus, master, means, out })
+        Ok(Self { bus, master, out })
     }
 
     fn run(mut self) -> Told {
@@ -166,7 +156,6 @@ impl Tour {
             centres[motor.index()] = angle.degrees().to_radians();
         }
         let start = self.master.now();
-        (self.means)();
         let mut answers = 0_u32;
         let (mut lowest, mut highest) = (f32::INFINITY, f32::NEG_INFINITY);
         for motor in motors.iter() {
@@ -189,16 +178,13 @@ impl Tour {
         let span = f64::from((self.master.now() - start).as_secs_f32());
         let count = motors.len();
         let rate = f64::from(answers) / count as f64 / span;
-        let means = (self.means)();
-        let (title, bound) = match self.bus {
-            BusKind::Can => ("Motion mode", bound_on_can(motors, means)),
-            BusKind::Rs485 => ("Position", bound_on_rs485(motors, means)),
+        let title = match self.bus {
+            BusKind::Can => "Motion mode",
+            BusKind::Rs485 => "Position",
         };
-        let share = 100.0 * rate / bound;
         writeln!(
             self.out,
             "\n{title}: all {count} motors swing at {rate:.0} set-points a second each.\n  \
-             The wire and the drives' {RESPONSE} set a bound of {bound:.0}: that is {share:.0} % of it.\n  \
              Motor 1 swings from {lowest:.1} to {highest:.1} deg."
         )?;
         Ok(())
@@ -255,43 +241,4 @@ fn measured_deg(reply: &AnyReply) -> f32 {
         AnyReply::AbsolutePosition(feedback) => feedback.angle.degrees(),
         _ => f32::NAN,
     }
-}
-
-/// Returns how long commands, and replies, were on the wire since the last call: the means, in seconds.
-type Means = Box<dyn Fn() -> [f64; 2]>;
-
-fn means<B: Medium>(world: &World<B>) -> Means {
-    let log = world.log();
-    Box::new(move || {
-        let mut sums = [(0, 0_u32); 2];
-        for record in log.take() {
-            if let trace::Event::Carried { started_ns, .. } = record.event {
-                // The drives are attached first, the master last.
-                let is_reply = record.station.index() < usize::from(MOTORS);
-                let (ns, count) = &mut sums[usize::from(is_reply)];
-                *ns += record.at_ns - started_ns;
-                *count += 1;
-            }
-        }
-        sums.map(|(ns, count)| ns as f64 / 1e9 / f64::from(count.max(1)))
-    })
-}
-
-/// A motor's next command follows its reply, and the wire carries one frame at a time with a pause of
-/// three bits after each.
-fn bound_on_can(motors: MotorSet, [command, reply]: [f64; 2]) -> f64 {
-    let pause = 3.0 / f64::from(BIT_RATE);
-    let wire = command + reply + 2.0 * pause;
-    let response = RESPONSE.as_micros() as f64 / 1e6;
-    1.0 / (wire * motors.len() as f64).max(wire + response)
-}
-
-/// One exchange at a time on the whole line, the drives' response and turning around included.
-fn bound_on_rs485(motors: MotorSet, [command, reply]: [f64; 2]) -> f64 {
-    let turnaround = match Config::rs485(BIT_RATE, false).bus {
-        Bus::Rs485 { turnaround, .. } => turnaround,
-        Bus::Can => Duration::ZERO,
-    };
-    let waiting = (RESPONSE + turnaround).as_micros() as f64 / 1e6;
-    1.0 / ((command + waiting + reply) * motors.len() as f64)
 }
