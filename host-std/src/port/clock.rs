@@ -22,14 +22,15 @@ const REST: std::time::Duration = std::time::Duration::from_millis(1);
 
 /// The host's monotonic clock, in microseconds since this value was made. It runs on while the machine is suspended.
 ///
-/// A clock that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with a time-out in
-/// nanoseconds. (A socket's own receive time-out is rounded to the kernel's ticks, which turns 1 ms into 4 ms.) Such a
-/// clock keeps the port open, so drop it with the port.
+/// It idles until something arrives at its port, by `ppoll` with a time-out in nanoseconds. (A socket's own receive
+/// time-out is rounded to the kernel's ticks, which turns 1 ms into 4 ms.) It keeps the port open, so drop it with the
+/// port.
 #[derive(Debug)]
 pub struct HostClock {
     /// Since the machine started.
     start: std::time::Duration,
-    port: Option<(OwnedFd, Backlog)>,
+    port: OwnedFd,
+    backlog: Backlog,
     waker: Option<Arc<OwnedFd>>,
 }
 
@@ -60,18 +61,7 @@ impl Backlog {
     }
 }
 
-impl Default for HostClock {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl HostClock {
-    /// A clock that sleeps when it idles.
-    pub fn new() -> Self {
-        Self { start: since_boot(), port: None, waker: None }
-    }
-
     /// A clock that idles until this socket or serial port can be read.
     ///
     /// # Errors
@@ -83,7 +73,7 @@ impl HostClock {
     /// As [`for_port`](Self::for_port). While there is a backlog it also idles only until the port can be written.
     pub(super) fn with_backlog(port: &impl AsFd, backlog: Backlog) -> io::Result<Self> {
         let port = port.as_fd().try_clone_to_owned()?;
-        Ok(Self { port: Some((port, backlog)), ..Self::new() })
+        Ok(Self { start: since_boot(), port, backlog, waker: None })
     }
 
     /// A handle that ends this clock's idling from another thread.
@@ -99,37 +89,29 @@ impl HostClock {
         Ok(HostWaker(waker))
     }
 
-    /// Waits for the port and the waker, as far as there are any, for up to `span`.
+    /// Waits for the port, and for the waker if there is one, for up to `span`.
     fn wait(&self, span: Duration) {
         let span = std::time::Duration::from(span);
         let Ok(timeout) = Timespec::try_from(span) else { return };
-        let mut port = self.port.as_ref().map(|(port, backlog)| {
-            let out = if backlog.is_blocked() { PollFlags::OUT } else { PollFlags::empty() };
-            PollFd::new(port, PollFlags::IN | out)
-        });
+        let out = if self.backlog.is_blocked() { PollFlags::OUT } else { PollFlags::empty() };
+        // Without a waker the port stands here twice.
+        let waker = self.waker.as_deref().unwrap_or(&self.port);
+        let mut fds =
+            [PollFd::new(&self.port, PollFlags::IN | out), PollFd::new(waker, PollFlags::IN)];
         // A signal ends the wait early, so that a program soon sees what its handler noted. Any other
         // error is returned by the next use of the port.
-        let Some(waker) = &self.waker else {
-            let _ = poll(port.as_mut_slice(), Some(&timeout));
-            rest_if_gone(port.as_ref(), span);
-            return;
-        };
-        let woken = PollFd::new(waker, PollFlags::IN);
-        // Without a port the waker stands here twice.
-        let mut fds = [woken.clone(), port.unwrap_or(woken)];
         let _ = poll(&mut fds, Some(&timeout));
-        if !fds[0].revents().is_empty() {
+        let [port, woken] = fds.map(|fd| fd.revents());
+        if let Some(waker) = &self.waker
+            && !woken.is_empty()
+        {
             let _ = rustix::io::read(waker, &mut [0; 8]);
         }
-        rest_if_gone(fds.last(), span);
-    }
-}
-
-/// A port that has gone, or that has an error which was not read yet, ends each wait at once. Without a rest a loop
-/// that goes on trying would take the whole processor.
-fn rest_if_gone(port: Option<&PollFd<'_>>, span: std::time::Duration) {
-    if port.is_some_and(|port| port.revents().intersects(PollFlags::HUP | PollFlags::ERR)) {
-        std::thread::sleep(span.min(REST));
+        // A port that has gone, or that has an error which was not read yet, ends each wait at once. Without a rest a
+        // loop that goes on trying would take the whole processor.
+        if port.intersects(PollFlags::HUP | PollFlags::ERR) {
+            std::thread::sleep(span.min(REST));
+        }
     }
 }
 
@@ -159,15 +141,14 @@ mod tests {
     #[test]
     fn clock_runs_on_and_idles_until_the_given_time() {
         let (end, _other) = UnixStream::pair().unwrap();
-        for clock in [HostClock::new(), HostClock::for_port(&end).unwrap()] {
-            let until = clock.now() + SOON;
-            // A signal may end one wait early.
-            while clock.now() < until {
-                clock.idle(until);
-            }
-            clock.idle(Instant::ZERO);
-            assert!(clock.now() >= until);
+        let clock = HostClock::for_port(&end).unwrap();
+        let until = clock.now() + SOON;
+        // A signal may end one wait early.
+        while clock.now() < until {
+            clock.idle(until);
         }
+        clock.idle(Instant::ZERO);
+        assert!(clock.now() >= until);
     }
 
     #[test]
@@ -183,27 +164,25 @@ mod tests {
     #[test]
     fn idles_only_until_it_is_woken() {
         let (end, _other) = UnixStream::pair().unwrap();
-        for mut clock in [HostClock::new(), HostClock::for_port(&end).unwrap()] {
+        let mut clock = HostClock::for_port(&end).unwrap();
+        let waker = clock.waker().unwrap();
+        // Before it idles, and from another thread.
+        waker.wake();
+        clock.idle(clock.now() + NEVER);
+        let waking = std::thread::spawn({
             let waker = clock.waker().unwrap();
-            // Before it idles, and from another thread.
-            waker.wake();
-            clock.idle(clock.now() + NEVER);
-            let waking = std::thread::spawn({
-                let waker = clock.waker().unwrap();
-                move || waker.wake()
-            });
-            clock.idle(clock.now() + NEVER);
-            waking.join().unwrap();
-            // Once is once.
-            let until = clock.now() + SOON;
-            while clock.now() < until {
-                clock.idle(until);
-            }
-            assert!(
-                poll(&mut [PollFd::new(&waker.0, PollFlags::IN)], Some(&Timespec::default()))
-                    == Ok(0)
-            );
+            move || waker.wake()
+        });
+        clock.idle(clock.now() + NEVER);
+        waking.join().unwrap();
+        // Once is once.
+        let until = clock.now() + SOON;
+        while clock.now() < until {
+            clock.idle(until);
         }
+        assert!(
+            poll(&mut [PollFd::new(&waker.0, PollFlags::IN)], Some(&Timespec::default())) == Ok(0)
+        );
     }
 
     #[test]
