@@ -215,9 +215,6 @@ pub enum RobotError {
         /// What the operating system reports.
         error: io::Error,
     },
-    /// A fleet of one bus was wanted from a file with another number of them.
-    #[error("one bus was expected, but the file has {0}: take `Robot`")]
-    NotOneBus(usize),
     /// The drives cannot be put on the bus.
     #[error("bus \"{name}\": {error}")]
     Fleet {
@@ -348,22 +345,6 @@ impl RobotBus {
 
     fn failed(&self, error: FleetError) -> RobotError {
         RobotError::Fleet { name: self.name().to_owned(), error }
-    }
-}
-
-impl Fleet {
-    /// Makes a fleet of the motors of a file that has one bus, with their faults; see [`Robot`] for the file. Of the
-    /// bus itself only its name is used; the caller puts the fleet on a bus.
-    ///
-    /// # Errors
-    /// As [`Robot::from_toml`], or [`RobotError::NotOneBus`].
-    pub fn from_toml(text: &str, folder: impl AsRef<Path>) -> Result<Self, RobotError> {
-        let mut buses = Robot::from_toml(text, folder)?.buses;
-        let count = buses.len();
-        match buses.pop() {
-            Some(bus) if count == 1 => Ok(bus.fleet),
-            _ => Err(RobotError::NotOneBus(count)),
-        }
     }
 }
 

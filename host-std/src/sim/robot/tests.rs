@@ -1,5 +1,3 @@
-use std::path::Path;
-
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
@@ -383,14 +381,4 @@ fn model_files_are_looked_for_beside_the_robot_file() {
         message.starts_with("the robot's file ") && message.contains("cannot be read"),
         "{message}"
     );
-}
-
-#[test]
-fn a_fleet_comes_from_a_file_of_one_bus() {
-    let one = format!("seed = 7\n{BUS}{MOTOR}ids = \"1-3\"\n");
-    let fleet = Fleet::from_toml(&one, Path::new("")).unwrap().on_rs485(115_200).unwrap();
-    assert_eq!((fleet.name.as_str(), fleet.drives.len()), ("arm", 3));
-    let two = format!("{one}{}{MOTOR}id = 1", BUS.replace("arm", "leg"));
-    let message = Fleet::from_toml(&two, "").unwrap_err().to_string();
-    assert!(message.contains("the file has 2"), "{message}");
 }

@@ -104,7 +104,7 @@ fn faults_of_a_robot_file_strike_in_a_program_in_virtual_time() {
 fn fleet_from_a_file_has_its_faults_on_either_bus() {
     let file = "[[bus]]\nname = \"arm\"\nkind = \"can\"\nbit_rate = 500_000\nfaults = [\"cut@1+7ms\"]\n\
                 motor = [{ id = 1 }]";
-    let fleet = Fleet::from_toml(file, "").unwrap();
+    let fleet = Robot::from_toml(file, "").unwrap().buses.remove(0).fleet;
     let cut = [(7_000_000, 1, "Cut".to_owned())];
     let (can, line) = (fleet.on_can(1_000_000).unwrap(), fleet.on_rs485(115_200).unwrap());
     let (of_can, of_line) = (can.drives[0].station(), line.drives[0].station());
