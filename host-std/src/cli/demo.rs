@@ -3,6 +3,7 @@
 use std::error::Error;
 use std::f32::consts::TAU;
 use std::io::{self, StdoutLock, Write};
+use std::ops::ControlFlow;
 
 use clap::Args;
 use myactuator_host_std::BusKind;
@@ -116,34 +117,32 @@ impl Tour {
         Ok(())
     }
 
-    /// Moves motor 1 to an angle and watches it arrive.
+    /// Moves motor 1 to an angle and shows where it is on the way.
     fn go(&mut self) -> Told {
         const TARGET_DEG: f32 = 90.0;
-        const NEAR_DEG: f32 = 0.1;
-        const LONGEST: Duration = Duration::from_secs(5);
+        const LINE_EVERY: Duration = Duration::from_millis(100);
         let motor = MotorId::MIN;
         let max_speed = MaxSpeed::from_dps(180.0)?;
         let angle = Angle::from_degrees(TARGET_DEG)?;
         writeln!(self.out, "\nMotor {motor} goes to {angle}, at {max_speed} at the most:\n")?;
-        let start = self.master.now();
-        self.master.ask(motor, AbsolutePosition { max_speed, angle })?;
-        for tick in 0.. {
-            self.master.run_until(start + Duration::from_millis(100).times(tick), |_| {})?;
-            let degrees = self.master.ask(motor, ReadMultiTurnAngle)?.angle.degrees();
-            let speed = self.master.ask(motor, ReadStatus2)?.speed;
+        let command = AbsolutePosition { max_speed, angle };
+        let limits = bring_up::MoveLimits::default();
+        let (mut next, mut shown) = (Duration::ZERO, Ok(()));
+        let end = bring_up::move_to(&mut self.master, motor, command, &limits, |look| {
+            if look.time < next {
+                return ControlFlow::Continue(());
+            }
+            next = next + LINE_EVERY;
+            let (span, degrees) = (look.time.as_secs_f32(), look.angle.degrees());
+            let dps = look.feedback.speed.to_string();
             let bar = "#".repeat((degrees / TARGET_DEG * 40.0).clamp(0.0, 40.0) as usize);
-            let (span, dps) = (self.seconds_since(start), speed.to_string());
-            writeln!(self.out, "  {span:4.1} s {degrees:7.2} deg {dps:>8}  |{bar:<40}|")?;
-            if (degrees - TARGET_DEG).abs() <= NEAR_DEG && speed.dps() == 0.0 {
-                writeln!(self.out, "\n  It has arrived.")?;
-                return Ok(());
-            }
-            if self.master.now() - start > LONGEST {
-                return Err(
-                    format!("motor {motor} has not reached {angle} within {LONGEST}").into()
-                );
-            }
-        }
+            shown = writeln!(self.out, "  {span:4.1} s {degrees:7.2} deg {dps:>8}  |{bar:<40}|");
+            if shown.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        });
+        shown?;
+        let arrival = end?;
+        let (at, span) = (arrival.angle, arrival.time.as_secs_f32());
+        writeln!(self.out, "\n  It has arrived at {at} after {span:.2} s.")?;
         Ok(())
     }
 

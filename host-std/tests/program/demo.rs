@@ -19,7 +19,7 @@ fn four_drives_are_found_moved_and_shut_down_on_either_bus() {
         for sentence in [
             "4 answer (1 2 3 4)",
             "motor 4: X6-60",
-            "It has arrived.",
+            "It has arrived at ",
             way,
             "Shut down: all 4 have confirmed",
         ] {
