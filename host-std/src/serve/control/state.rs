@@ -20,7 +20,7 @@ pub(in crate::serve) struct BusState {
     /// The voltage of that supply between the motors' cables.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply_voltage_v: Option<f64>,
-    /// The first reason why mechanics have failed. The shafts that they led stand until they are handed back.
+    /// The first reason why mechanics have failed. The shafts that they led stand from then on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) mechanics_failure: Option<String>,
     pub(in crate::serve) motors: Vec<MotorState>,

@@ -41,9 +41,6 @@
 //! factory gains 200 µs is safe for the smallest inertia that a shaft can have, the motor's own; for a shaft that
 //! carries four times that, 1 ms is enough.
 //!
-//! # For a while
-//! [`lead`](BusFleet::lead) returns a [`Leading`], which hands the shafts back to their motors and loads.
-//!
 //! # In another process
 //! [`Remote`] asks a process over a socket, with one line of JSON in each direction per period:
 //!
@@ -67,7 +64,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::bus::{Medium, lock};
-use super::plant::{ImpossibleFigure, ShaftTorque};
+use super::plant::ShaftTorque;
 use super::seat::Seat;
 use super::{BusFleet, DriveHandle};
 
@@ -109,48 +106,6 @@ pub struct AlreadyLed {
     pub motor: MotorId,
 }
 
-/// Mechanics that move shafts, until they fail or [hand them back](Self::hand_back). Dropping this changes nothing.
-#[derive(Debug)]
-pub struct Leading {
-    drives: Vec<DriveHandle>,
-    state: Arc<Mutex<State>>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Leads,
-    /// It has failed, or has handed the shafts back.
-    Over,
-}
-
-impl Leading {
-    /// Ends the mechanics: motors and loads move their shafts again, from the present angles and speeds. After a
-    /// failure this hands back the shafts that no other mechanics lead. Do not call this while the world runs in this
-    /// thread.
-    ///
-    /// # Errors
-    /// [`ImpossibleFigure`] if a shaft was led far beyond an [end stop](super::plant::EndStop) of its own load. Then
-    /// the mechanics go on leading all shafts.
-    pub fn hand_back(&self) -> Result<(), ImpossibleFigure> {
-        let state = *lock(&self.state);
-        for drive in self.own(state) {
-            drive.with(|it| it.plant().clone().let_go())?;
-        }
-        let state = std::mem::replace(&mut *lock(&self.state), State::Over);
-        for drive in self.own(state) {
-            set_led(&drive.seat, false);
-            drive.with(|it| it.plant_mut().let_go())?;
-        }
-        Ok(())
-    }
-
-    /// The drives that no other mechanics lead now.
-    fn own(&self, state: State) -> impl Iterator<Item = &DriveHandle> {
-        let leads = state == State::Leads;
-        self.drives.iter().filter(move |drive| leads || !lock(&drive.seat).is_led)
-    }
-}
-
 /// Whether it was led before.
 fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
     std::mem::replace(&mut lock(seat).is_led, is_led)
@@ -172,8 +127,7 @@ impl MechanicsFailure {
 
 impl<B: Medium> BusFleet<B> {
     /// Lets `mechanics` move the shafts of these drives from now on, with one step per `period`. Their loads have no
-    /// effect then. Only one [`Mechanics`] leads a drive, until it has failed or
-    /// [handed the drive back](Leading::hand_back).
+    /// effect then. Only one [`Mechanics`] leads a drive, until it has failed.
     ///
     /// # Errors
     /// [`AlreadyLed`]; then these mechanics move nothing.
@@ -182,7 +136,7 @@ impl<B: Medium> BusFleet<B> {
         drives: &[DriveHandle],
         period: Duration,
         mechanics: impl Mechanics + 'static,
-    ) -> Result<Leading, AlreadyLed> {
+    ) -> Result<(), AlreadyLed> {
         if let Some(place) = drives.iter().position(|drive| set_led(&drive.seat, true)) {
             for drive in drives.iter().take(place) {
                 set_led(&drive.seat, false);
@@ -190,17 +144,15 @@ impl<B: Medium> BusFleet<B> {
             return Err(AlreadyLed { motor: drives[place].motor() });
         }
         let period = period.max(Duration::from_micros(1));
-        let state = Arc::new(Mutex::new(State::Leads));
         let mut leader = Leader {
             seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
             shafts: drives.iter().map(Shaft::of).collect(),
             period,
             mechanics,
-            state: Arc::clone(&state),
             failure: self.mechanics_failure.clone(),
         };
         self.world.plan(period, move |_, now| leader.step(now).then_some(period));
-        Ok(Leading { drives: drives.to_vec(), state })
+        Ok(())
     }
 
     /// Why shafts stand, if their mechanics have failed or led them to an impossible place.
@@ -229,30 +181,22 @@ struct Leader<M> {
     shafts: Vec<Shaft>,
     period: Duration,
     mechanics: M,
-    state: Arc<Mutex<State>>,
     failure: MechanicsFailure,
 }
 
 impl<M: Mechanics> Leader<M> {
     /// Whether it goes on.
     fn step(&mut self, now: Instant) -> bool {
-        let state = Arc::clone(&self.state);
-        let mut state = lock(&state);
-        if *state == State::Over {
-            return false;
-        }
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
             let mut seat = lock(seat);
             seat.catch_up(now);
             shaft.acting = seat.drive.plant().acting();
         }
         let moved = self.mechanics.step(self.period, &mut self.shafts).map_err(|it| it.to_string());
-        if let Err(reason) = moved.and_then(|()| self.lead()) {
-            self.stand();
-            *state = State::Over;
-            self.failure.report(reason);
-        }
-        *state == State::Leads
+        let Err(reason) = moved.and_then(|()| self.lead()) else { return true };
+        self.stand();
+        self.failure.report(reason);
+        false
     }
 
     /// Puts all shafts where the mechanics have them.

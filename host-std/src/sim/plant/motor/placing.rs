@@ -91,22 +91,6 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Stops leading the shaft: motor and load move it on from its present angle and speed.
-    ///
-    /// # Errors
-    /// [`ImpossibleFigure`] for a shaft that was led [far beyond](crate::sim::plant::EndStop) an end stop of its own
-    /// load; it stays led.
-    pub fn let_go(&mut self) -> Result<(), ImpossibleFigure> {
-        let Some(led) = self.led.take() else { return Ok(()) };
-        if let Err(error) = self.check_reach(&self.load, self.output_angle_deg()) {
-            self.led = Some(led);
-            return Err(error);
-        }
-        let Shaft { angle_rad, speed_rad_s, .. } = self.shaft;
-        self.shaft = Shaft::at(angle_rad, speed_rad_s, self.coefficients.play.is_some());
-        Ok(())
-    }
-
     /// Whether something else [leads](Self::lead) the shaft.
     pub const fn is_led(&self) -> bool {
         self.led.is_some()
@@ -156,23 +140,5 @@ mod tests {
         let soft = EndStop { stiffness_nm_per_rad: 0.0, ..stop(140.0) };
         motor.set_load(Load { upper_stop: Some(soft), ..Load::NONE }).unwrap();
         motor.set_output_angle_deg(1e6).unwrap();
-    }
-
-    #[test]
-    fn shaft_led_beyond_an_end_stop_is_freed_only_on_this_side_of_it() {
-        let stop = EndStop { at_deg: 140.0, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
-        let ended = Load { upper_stop: Some(stop), ..Load::NONE };
-        let mut motor =
-            SimulatedMotor::new(MotorParameters::named("RMD-X6-P20-60").unwrap()).unwrap();
-        motor.lead(170.0, 30.0).unwrap();
-        motor.set_load(ended).unwrap();
-        assert!(motor.let_go().is_err());
-        assert!(motor.is_led());
-        motor.lead(100.0, 30.0).unwrap();
-        motor.let_go().unwrap();
-        assert!(!motor.is_led());
-        let (angle_deg, speed_dps) = (motor.output_angle_deg(), motor.output_speed_dps());
-        assert_eq!((angle_deg.round(), speed_dps.round()), (100.0, 30.0));
-        motor.let_go().unwrap();
     }
 }
