@@ -23,10 +23,10 @@ pub enum NotAFrame {
     #[error("expected up to 8 data bytes of two hexadecimal digits each, found \"{0}\"")]
     Data(String),
     /// candump's length and bytes disagree.
-    #[error("the length says {told} data bytes, but the line has {found}")]
+    #[error("the length says {expected} data bytes, but the line has {found}")]
     Length {
         /// The length in the text.
-        told: usize,
+        expected: usize,
         /// The bytes found.
         found: usize,
     },
@@ -185,9 +185,9 @@ fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, No
     if length.len() != 1 {
         return Err(NotAFrame::Fd); // candump writes its lengths with two digits
     }
-    let told: usize = length.parse().map_err(|_| NotAFrame::Notation)?;
+    let expected: usize = length.parse().map_err(|_| NotAFrame::Notation)?;
     if data.first() == Some(&"remote") {
-        return SimpleFrame::new_remote(id, told).ok_or(NotAFrame::Notation);
+        return SimpleFrame::new_remote(id, expected).ok_or(NotAFrame::Notation);
     }
     // The bytes may be followed by the same as characters in quotes (candump -a).
     let mut bytes = Vec::new();
@@ -197,8 +197,8 @@ fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, No
             _ => return Err(NotAFrame::Data((*word).to_owned())),
         }
     }
-    if bytes.len() != told {
-        return Err(NotAFrame::Length { told, found: bytes.len() });
+    if bytes.len() != expected {
+        return Err(NotAFrame::Length { expected, found: bytes.len() });
     }
     SimpleFrame::new(id, &bytes).ok_or(NotAFrame::Notation)
 }
@@ -284,7 +284,7 @@ mod tests {
         assert_eq!(normal("141#0"), Err(NotAFrame::Data("0".into())));
         assert_eq!(normal("141#é0"), Err(NotAFrame::Data("é0".into())));
         assert!(matches!(normal("141#000000000000000000"), Err(NotAFrame::Data(_))));
-        assert_eq!(normal("can0 141 [3] 01 02"), Err(NotAFrame::Length { told: 3, found: 2 }));
+        assert_eq!(normal("can0 141 [3] 01 02"), Err(NotAFrame::Length { expected: 3, found: 2 }));
         assert_eq!(
             normal("can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME"),
             Err(NotAFrame::ErrorReport)

@@ -49,7 +49,7 @@ pub(in crate::serve) struct MotorState {
     angle_deg: f64,
     speed_dps: f64,
     /// The angle that its drive reports, from its own zero.
-    told_angle_deg: f64,
+    reported_angle_deg: f64,
     current_a: f32,
     /// The torque of that current at the output shaft, before friction.
     torque_nm: f64,
@@ -101,7 +101,7 @@ impl MotorState {
             bit_rate: drive.bit_rate().unwrap_or(bus_rate),
             angle_deg,
             speed_dps,
-            told_angle_deg: state.angle_deg,
+            reported_angle_deg: state.angle_deg,
             current_a: measured.current_a,
             torque_nm: plant.parameters().motor.torque_constant_nm_per_a
                 * f64::from(measured.current_a),
