@@ -19,4 +19,5 @@ mod drives {
     mod responses;
     mod robots;
     mod runs;
+    mod two_links;
 }

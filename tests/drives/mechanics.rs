@@ -3,9 +3,7 @@
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
 
-use myactuator_host_std::sim::mechanics::{
-    AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
-};
+use myactuator_host_std::sim::mechanics::{AlreadyLed, Failure, Mechanics, Remote, Shaft};
 use myactuator_host_std::sim::plant::{MODELS, MotorParameters, SimulatedMotor};
 use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
@@ -14,6 +12,8 @@ use myactuator_protocol_core::drive::{Actuation, Plant as _};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::values::{go_to, id, millis};
+
+use super::two_links::{Link, TwoLinks};
 
 const PERIOD: Duration = Duration::from_micros(500);
 
@@ -29,7 +29,7 @@ fn arm() -> TwoLinks {
         centre_m: 0.25,
         inertia_kg_m2: mass_kg * 0.25 / 12.0,
     };
-    TwoLinks::new([rod(4.0), rod(2.0)], [model().inertia_kg_m2(); 2]).unwrap()
+    TwoLinks::new([rod(4.0), rod(2.0)], [model().inertia_kg_m2(); 2])
 }
 
 fn fleet() -> CanFleet {

@@ -56,7 +56,6 @@
 //! at once. For the other buses it uses the last torques that it got, which are up to a period old.
 
 mod remote;
-mod two_links;
 
 use std::sync::{Arc, Mutex};
 
@@ -69,7 +68,6 @@ use super::seat::Seat;
 use super::{BusFleet, DriveHandle};
 
 pub use remote::Remote;
-pub use two_links::{Link, TwoLinks};
 
 /// Why mechanics cannot go on.
 pub type Failure = Box<dyn std::error::Error + Send + Sync>;

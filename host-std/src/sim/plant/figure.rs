@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 /// The figure, if it is a number in this range.
-pub(in crate::sim) fn check(
+pub(super) fn check(
     name: &'static str,
     unit: &'static str,
     allowed: RangeInclusive<f64>,

@@ -6,7 +6,7 @@ use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// Acceleration of a body that falls, m/s².
-pub(in crate::sim) const GRAVITY_M_S2: f64 = 9.806_65;
+const GRAVITY_M_S2: f64 = 9.806_65;
 
 /// The largest angle that can be distinguished from its neighbours, degrees.
 pub(super) const ANGLE_DEG: f64 = 1e9;

@@ -44,9 +44,7 @@ mod supply;
 mod thermal;
 
 pub use figure::ImpossibleFigure;
-pub(in crate::sim) use figure::check;
 pub use led::ShaftTorque;
-pub(in crate::sim) use load::GRAVITY_M_S2;
 pub use load::{Arm, EndStop, Load, Spring};
 pub(in crate::sim) use models::catalogue_name;
 pub use models::{MODELS, Model};
