@@ -4,7 +4,7 @@ use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{MotorParameters, STEP, SimulatedMotor};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnEncoderRaw;
-use myactuator_protocol_core::drive::{Actuation, Plant};
+use myactuator_protocol_core::drive::Plant;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::time::Duration;
 
@@ -74,25 +74,4 @@ fn a_fleets_seed_is_its_noise() {
     assert_eq!(reported(1), reported(1));
     assert_ne!(reported(1), reported(2));
     assert_ne!(reported(1)[0], reported(1)[1]);
-}
-
-/// A degree of play, with the motor held by its brake. The output's encoder of 10 bits reads half a degree to either
-/// side: 1.42 and -1.42 of its pulses, rounded down. The motor's encoder does not see the play.
-#[test]
-fn the_outputs_encoder_sees_the_loads_side() {
-    let mut p = ideal();
-    p.gear.backlash_arcmin = 60.0;
-    assert_eq!(motor(p.clone()).output_encoder_pulses(), None);
-    p.encoder.output_bits = 10;
-    let mut m = motor(p);
-    let held = Actuation { brake_released: false, ..OFF };
-    for (hand_nm, expected) in [(0.01, 1), (-0.01, -2)] {
-        m.set_external_torque_nm(hand_nm).unwrap();
-        let seen = m.advance(&held, Duration::from_secs(1));
-        assert_eq!(m.output_encoder_pulses(), Some(expected));
-        assert!(seen.encoder_pulses.abs() <= 2, "{}", seen.encoder_pulses);
-    }
-    // Turns are counted: 720 degrees are 2048 pulses.
-    m.set_output_angle_deg(720.1).unwrap();
-    assert_eq!(m.output_encoder_pulses(), Some(2048));
 }

@@ -42,8 +42,3 @@ const fn splitmix(seed: u64) -> u64 {
     bits = (bits ^ (bits >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     bits ^ (bits >> 31)
 }
-
-/// Whole pulses of an encoder of this many bits, turns included.
-pub(super) fn pulses(angle_rad: f64, bits: u8) -> i64 {
-    (angle_rad / std::f64::consts::TAU * f64::from(1_u32 << bits)).floor() as i64
-}

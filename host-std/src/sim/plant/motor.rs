@@ -8,7 +8,7 @@ use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
 use super::coefficients::Coefficients;
-use super::encoder::{self, Noise};
+use super::encoder::Noise;
 use super::figure::{ImpossibleFigure, check};
 use super::led::Led;
 use super::shaft::{Acting, Shaft};
@@ -246,13 +246,6 @@ impl SimulatedMotor {
     /// Sets the seed of the encoder's [noise](super::EncoderParameters::noise_pulses); 0 at first.
     pub const fn set_noise_seed(&mut self, seed: u64) {
         self.noise.reseed(seed);
-    }
-
-    /// The reading of the encoder on the output shaft, in its own pulses, turns included. It sees the load's side of
-    /// the gear's play. `None` if there is no such encoder.
-    pub fn output_encoder_pulses(&self) -> Option<i64> {
-        let bits = self.parameters.encoder.output_bits;
-        (bits > 0).then(|| encoder::pulses(self.shaft.angle_rad, bits))
     }
 
     /// Temperature of the housing, °C; `None` for a motor whose file has no figures for it.
