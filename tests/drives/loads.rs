@@ -113,7 +113,8 @@ fn drive_holds_a_load_that_changes_while_it_runs() {
 #[test]
 fn motors_of_a_fleet_start_at_their_angle_with_their_own_load() {
     let model = MotorParameters::named("RMD-X8-PRO").unwrap();
-    let fleet = Fleet::new(2).start_angle_deg(120.0).load_of(id(2), arm(&model, 0.5));
+    let loaded = arm(&model, 0.5);
+    let fleet = Fleet::new(2).start_angle_deg(120.0).motor(id(2), |motor| motor.load = loaded);
     let fleet = fleet.on_can(1_000_000).unwrap();
     let mut master = fleet.master::<2>();
     for motor in [id(1), id(2)] {

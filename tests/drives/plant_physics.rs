@@ -288,9 +288,10 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
 #[test]
 fn the_supply_sags_under_load_and_rises_with_feedback() {
     let weak = Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) };
+    let bench = Supply { feedback_resistance_ohm: 20.0, ..Supply::battery(48.0) };
     for (supply, current, rad_per_s, resistance, power) in [
         (weak, 16.0, 0.0, 1.0, 1.5 * 0.5 * 16.0 * 16.0),
-        (Supply::bench(48.0), -2.0, 10.0, 20.0, 1.5 * 0.5 * 4.0 - 2.0 * 2.0 * 10.0),
+        (bench, -2.0, 10.0, 20.0, 1.5 * 0.5 * 4.0 - 2.0 * 2.0 * 10.0),
     ] {
         let mut m = held(ideal());
         m.set_supply(supply).unwrap();
@@ -333,7 +334,8 @@ fn a_motor_that_is_turned_fast_feeds_back_through_its_diodes() {
 #[test]
 fn a_brake_resistor_burns_what_is_fed_back() {
     let brake = BrakeResistor { on_above_v: 54.0, off_below_v: 52.0, resistance_ohm: 10.0 };
-    let supply = Supply { brake_resistor: Some(brake), ..Supply::bench(48.0) };
+    let (feedback_resistance_ohm, brake_resistor) = (20.0, Some(brake));
+    let supply = Supply { feedback_resistance_ohm, brake_resistor, ..Supply::battery(48.0) };
     for (current_a, rad_per_s) in [(-4.0, 16.125), (-20.0, 30.0)] {
         let fed_back_w = -(1.5 * 0.5 * current_a * current_a + 2.0 * current_a * rad_per_s);
         let mut m = held(ideal());

@@ -27,11 +27,6 @@ impl SlowAdapter {
     pub fn at(port: &Path) -> Option<Self> {
         Timer::of(Path::new(ADAPTERS), port)?.too_long()
     }
-
-    /// How long it keeps what it has received.
-    pub const fn keeps_for(&self) -> std::time::Duration {
-        std::time::Duration::from_millis(self.ms)
-    }
 }
 
 impl fmt::Display for SlowAdapter {
@@ -109,7 +104,6 @@ mod tests {
         let made = made("16\n");
         for path in [&made.port, &made.link] {
             let slow = Timer::of(&made.adapters, path).unwrap().too_long().unwrap();
-            assert_eq!(slow.keeps_for().as_millis(), 16);
             let remedy = format!("'echo 1 | sudo tee {}'", made.timer.display());
             assert!(slow.to_string().contains("every 16 ms"), "{slow}");
             assert!(slow.to_string().ends_with(&remedy), "{slow}");

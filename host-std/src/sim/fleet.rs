@@ -75,7 +75,7 @@ pub struct Fleet {
     motors: Vec<MotorSetup>,
     /// A motor that was set up but is not in the fleet, and the fleet's motors then.
     missing: Option<(MotorId, MotorSet)>,
-    faults: Vec<PlannedFault>,
+    pub(super) faults: Vec<PlannedFault>,
     supply: Option<Supply>,
     seed: u64,
     memory_folder: Option<PathBuf>,
@@ -211,12 +211,6 @@ impl Fleet {
         self.all(|motor| motor.load = load)
     }
 
-    /// Puts this load on the shaft of the motor with this id.
-    #[must_use]
-    pub fn load_of(self, motor: MotorId, load: Load) -> Self {
-        self.motor(motor, |motor| motor.load = load)
-    }
-
     /// Sets the angle of the shafts at the start, degrees, turns included, up to ±10⁹. The default is 0. If a
     /// [`memory_folder`](Self::memory_folder) knows where a shaft was left, the shaft is there instead.
     #[must_use]
@@ -239,11 +233,6 @@ impl Fleet {
     pub fn faults(mut self, faults: impl IntoIterator<Item = PlannedFault>) -> Self {
         self.faults = faults.into_iter().collect();
         self
-    }
-
-    /// The planned faults.
-    pub fn planned_faults(&self) -> &[PlannedFault] {
-        &self.faults
     }
 
     /// Puts the drives on a CAN bus in virtual time.
@@ -462,7 +451,9 @@ mod tests {
     fn each_motor_has_its_load_and_one_for_an_absent_motor_is_refused() {
         let inertia = |inertia_kg_m2| Load { inertia_kg_m2, ..Load::NONE };
         let id = |number| MotorId::new(number).unwrap();
-        let loaded = |motor| Fleet::new(3).load(inertia(1.0)).load_of(id(motor), inertia(2.0));
+        let loaded = |motor| {
+            Fleet::new(3).load(inertia(1.0)).motor(id(motor), |motor| motor.load = inertia(2.0))
+        };
         let fleet = loaded(2).on_rs485(115_200).unwrap();
         let found =
             fleet.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));

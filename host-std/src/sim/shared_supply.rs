@@ -124,6 +124,11 @@ mod tests {
         Fleet::new(2).load(rotor).supply(supply).on_can(1_000_000).unwrap()
     }
 
+    /// It takes back little.
+    fn bench(voltage_v: f64) -> Supply {
+        Supply { feedback_resistance_ohm: 20.0, ..Supply::battery(voltage_v) }
+    }
+
     fn soft() -> Supply {
         Supply { resistance_ohm: 0.5, ..Supply::battery(48.0) }
     }
@@ -164,7 +169,7 @@ mod tests {
     fn feedback_of_one_motor_raises_all_and_a_brake_resistor_burns_it() {
         let brake = BrakeResistor { on_above_v: 55.0, off_below_v: 54.0, resistance_ohm: 5.0 };
         let voltages_v = |brake_resistor| {
-            let fleet = fleet(Supply { brake_resistor, ..Supply::bench(48.0) });
+            let fleet = fleet(Supply { brake_resistor, ..bench(48.0) });
             fleet.drives[0].with(|it| it.plant_mut().set_output_speed_dps(6_000.0)).unwrap();
             let after_a_ms = || {
                 fleet.world.run_for(Duration::from_millis(1));
@@ -189,7 +194,7 @@ mod tests {
         let dps = 1.5 * model.rating.no_load_speed_rpm * 6.0;
         let heavy = Load { inertia_kg_m2: 50.0, ..Load::NONE };
         let of = |count| Fleet::new(count).model(model.clone()).load(heavy);
-        for (count, supply) in [(2, Supply::bench(48.0)), (12, Supply::battery(48.0))] {
+        for (count, supply) in [(2, bench(48.0)), (12, Supply::battery(48.0))] {
             let fleet = of(count).supply(supply).on_can(1_000_000).unwrap();
             // One, with its share of the supply.
             let share = 1.0 / f64::from(count);
@@ -218,7 +223,7 @@ mod tests {
 
     #[test]
     fn dip_after_feedback_is_no_deeper_than_the_resistance_makes_it() {
-        let fleet = fleet(Supply::bench(48.0));
+        let fleet = fleet(bench(48.0));
         // A little above 48 V, as after a stop.
         fleet.drives[0].with(|it| it.plant_mut().set_output_speed_dps(1_600.0)).unwrap();
         fleet.world.run_for(Duration::from_millis(2));
@@ -232,8 +237,7 @@ mod tests {
     fn own_supply_of_a_motor_becomes_its_cable_to_the_shared_one() {
         let fleet = fleet(soft());
         let brake = BrakeResistor { on_above_v: 20.0, off_below_v: 15.0, resistance_ohm: 5.0 };
-        let other =
-            Supply { resistance_ohm: 0.2, brake_resistor: Some(brake), ..Supply::bench(12.0) };
+        let other = Supply { resistance_ohm: 0.2, brake_resistor: Some(brake), ..bench(12.0) };
         fleet.drives[0].with(|it| it.plant_mut().set_supply(other)).unwrap();
         fleet.world.run_for(Duration::from_millis(20));
         let own = fleet.drives[0].with(|it| *it.plant().supply());
@@ -279,7 +283,7 @@ mod tests {
     #[test]
     fn the_same_supply_again_changes_nothing() {
         let brake = BrakeResistor { on_above_v: 60.0, off_below_v: 50.0, resistance_ohm: 5.0 };
-        let fleet = fleet(Supply { brake_resistor: Some(brake), ..Supply::bench(48.0) });
+        let fleet = fleet(Supply { brake_resistor: Some(brake), ..bench(48.0) });
         let mut point = *lock(&fleet.shared_supply().unwrap().0);
         // Somewhat above 48 V it takes nothing back; 45 mC lift 3 mF by 15 V then, and the resistor goes on.
         point.draw_c(-0.003, 1);

@@ -515,7 +515,7 @@ mod tests {
         motor.force_supply_voltage_v(Some(12.0)).unwrap();
         let on = Actuation { current_a: 5.0, output_on: true, brake_released: true };
         assert_eq!(motor.advance(&on, Duration::from_millis(50)).supply_voltage_v, 12.0);
-        motor.set_supply(Supply::bench(48.0)).unwrap();
+        motor.set_supply(Supply::battery(48.0)).unwrap();
         assert_eq!(motor.advance(&on, Duration::from_millis(50)).supply_voltage_v, 12.0);
         motor.force_supply_voltage_v(None).unwrap();
         assert!(motor.advance(&on, Duration::from_millis(50)).supply_voltage_v > 40.0);

@@ -44,8 +44,8 @@ pub struct BrakeResistor {
 }
 
 impl Supply {
-    /// A battery: 50 mΩ in both directions. The capacitor of this and of [`bench`](Self::bench) is the
-    /// 1000 µF that the maker's X-series manual (V1.1, 5.1) asks for.
+    /// A battery: 50 mΩ in both directions, and the capacitor of 1000 µF that the maker's X-series manual (V1.1, 5.1)
+    /// asks for.
     pub const fn battery(voltage_v: f64) -> Self {
         Self {
             voltage_v,
@@ -54,11 +54,6 @@ impl Supply {
             capacitance_f: 1000e-6,
             brake_resistor: None,
         }
-    }
-
-    /// A bench supply: 50 mΩ, and 20 Ω against feedback, so that a braking motor raises the voltage.
-    pub const fn bench(voltage_v: f64) -> Self {
-        Self { feedback_resistance_ohm: 20.0, ..Self::battery(voltage_v) }
     }
 
     /// With capacitors beside its own.

@@ -151,7 +151,7 @@ fn every_key_of_a_bus_is_read() {
     let [arm, tool] = &robot.buses[..] else { panic!("{robot:?}") };
     assert_eq!((arm.name(), arm.kind, arm.bit_rate), ("left-arm_1", BusKind::Can, 500_000));
     assert_eq!(arm.interface.as_deref(), Some("vcan0"));
-    let faults = arm.fleet.planned_faults();
+    let faults = &arm.fleet.faults;
     let kind = faults[0].kind;
     let faults: Vec<_> = faults.iter().map(|fault| (fault.motor, fault.after)).collect();
     assert_eq!(faults, [(Some(id(2)), Duration::from_secs(5)), (None, Duration::ZERO)]);
