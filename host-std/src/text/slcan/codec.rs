@@ -4,7 +4,6 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::Rate;
 use super::line::{BELL, END, Line, parse_frame, write_frame};
-use crate::text::can::hex_bytes;
 
 /// A line to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +72,8 @@ impl AdapterCommand {
     }
 }
 
-/// An answer of an adapter.
+/// An answer of an adapter. [`Codec`] reads those to [`AdapterCommand::ReadVersion`], `ReadSerialNumber` and
+/// `ReadStatus` as [`Junk`](Self::Junk): nothing here asks for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// A frame was received from the bus.
@@ -126,14 +126,6 @@ impl Answer {
             [] => Self::Done,
             [b'z'] => Self::Accepted { is_extended: false },
             [b'Z'] => Self::Accepted { is_extended: true },
-            [b'V', a, b, c, d] => Self::Version([a, b, c, d]),
-            [b'N', a, b, c, d] => Self::SerialNumber([a, b, c, d]),
-            [b'F', ref digits @ ..] => {
-                match str::from_utf8(digits).ok().and_then(hex_bytes).as_deref() {
-                    Some(&[flags]) => Self::Status(flags),
-                    _ => Self::Junk,
-                }
-            }
             // Some adapters put the acknowledgement of a sent frame right before the next frame.
             [b'z' | b'Z', ref frame @ ..] => parse_frame(frame).map_or(Self::Junk, Self::Frame),
             ref frame => parse_frame(frame).map_or(Self::Junk, Self::Frame),
@@ -235,9 +227,6 @@ mod tests {
             (b"z\r", Answer::Accepted { is_extended: false }),
             (b"Z\r", Answer::Accepted { is_extended: true }),
             (b"\x07", Answer::Refused),
-            (b"V1013\r", Answer::Version(*b"1013")),
-            (b"NA123\r", Answer::SerialNumber(*b"A123")),
-            (b"FA4\r", Answer::Status(0xA4)),
             (b"t2412F10A\r", Answer::Frame(frame("241#F10A"))),
         ] {
             assert_eq!(answers(line), [answer]);
