@@ -5,6 +5,10 @@ use std::str::FromStr;
 
 use crate::Unexpected;
 
+/// The slowest and the fastest serial line, bit/s.
+#[cfg(feature = "sim")]
+pub(crate) const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
+
 /// The two buses that the protocol runs on (manual 1.1, 1.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum BusKind {

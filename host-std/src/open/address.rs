@@ -7,6 +7,7 @@ use std::str::FromStr;
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 
+use crate::bus_kind::LINE_RATES;
 use crate::text::slcan::Rate;
 use crate::{BusKind, Unexpected};
 
@@ -21,8 +22,6 @@ const SIMULATED_CAN_RATE: u32 = 1_000_000;
 const SIMULATED_LINE_RATE: u32 = 115_200;
 /// Long enough for twice the 16 ms after which an adapter hands over what it has received.
 const LONGEST_REPLY_TIMEOUT: Duration = Duration::from_millis(40);
-/// The slowest and the fastest serial line that an address may name, in bit/s.
-const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 
 /// One string that names a bus, the same in every tool and configuration.
 ///

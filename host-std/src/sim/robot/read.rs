@@ -12,6 +12,7 @@ use toml::Spanned;
 use super::table::{BusTable, Ids, MechanicsTable, MotorTable, QuirkNames, RobotTable, Word};
 use super::{MechanicsProcess, Robot, RobotBus};
 use crate::BusKind;
+use crate::bus_kind::LINE_RATES;
 use crate::sim::model_file::{line_of, named_model, of_toml};
 use crate::sim::plant::MotorParameters;
 use crate::sim::{Fleet, MotorSetup};
@@ -21,8 +22,6 @@ type Wrong = (usize, String);
 
 /// The fastest rate is that of classic CAN, the slowest the slowest of adapters.
 const CAN_RATES: RangeInclusive<u32> = 10_000..=1_000_000;
-/// The rates of serial lines.
-const RS485_RATES: RangeInclusive<u32> = 1_200..=12_000_000;
 /// From the plant's step to a period with which no loop of a drive is stable.
 const MECHANICS_PERIODS_US: RangeInclusive<u64> = 100..=100_000;
 /// The longest that a drive may take to answer, ms.
@@ -159,7 +158,7 @@ impl File<'_> {
     fn bit_rate(&self, kind: BusKind, rate: &Spanned<u32>) -> Result<u32, Wrong> {
         let allowed = match kind {
             BusKind::Can => CAN_RATES,
-            BusKind::Rs485 => RS485_RATES,
+            BusKind::Rs485 => LINE_RATES,
         };
         let given = *rate.get_ref();
         if allowed.contains(&given) {
