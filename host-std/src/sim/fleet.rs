@@ -13,6 +13,7 @@ use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 
+use crate::BusKind;
 use crate::sim::PlannedFault;
 use crate::sim::bus::can::{CanBus, ControllerConfig};
 use crate::sim::bus::rs485::{Rs485Line, TransceiverConfig};
@@ -292,10 +293,10 @@ impl Fleet {
             drives.push(DriveHandle::new(motor, station, seat, Arc::clone(&serving)));
         }
         let kind = match bus {
-            Bus::Can => "can",
-            Bus::Rs485 => "rs485",
+            Bus::Can => BusKind::Can,
+            Bus::Rs485 => BusKind::Rs485,
         };
-        let name = self.name.clone().unwrap_or_else(|| kind.to_owned());
+        let name = self.name.clone().unwrap_or_else(|| kind.name().to_owned());
         // A master decodes all replies by one firmware.
         let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
         let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
