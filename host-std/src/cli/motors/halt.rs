@@ -14,7 +14,7 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, MotorSet, StopKind};
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT, named};
+use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT, OFF, named};
 use super::session::{Motors, Session, say};
 use super::together::Together;
 use crate::cli::{Outcome, Unfinished};
@@ -41,7 +41,7 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     let motors = halt(&mut session, arguments.id, StopKind::Off)?;
     session.are_left_alone(motors)?;
     let are = match motors.len() {
-        1 => "is off (0x80): its shaft is free unless a brake holds it",
+        1 => OFF,
         _ => "are off (0x80): their shafts are free unless brakes hold them",
     };
     say(&format!("{} {are}{}", named(motors), of_others(&session, arguments.id, motors)))

@@ -27,7 +27,7 @@ pub(super) const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
 /// The state of a motor that was switched off.
-const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
+pub(super) const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 
 /// The state of a motor that runs nothing although it was told to hold.
 const RUNS_NOTHING: &str =
