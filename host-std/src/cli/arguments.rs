@@ -38,14 +38,17 @@ pub(super) fn number(text: &str) -> Option<f64> {
 
 /// A finite number for a quantity of motion mode.
 pub(super) fn single(text: &str) -> Parsed<f32> {
-    let value = number(text).map(|value| value as f32).filter(|value| value.is_finite());
-    value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
+    let value = finite(text)? as f32;
+    if value.is_finite() { Ok(value) } else { Err(no_number(text)) }
 }
 
 /// A finite number for the physics.
 pub(super) fn finite(text: &str) -> Parsed<f64> {
-    let value = number(text).filter(|value| value.is_finite());
-    value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
+    number(text).filter(|value| value.is_finite()).ok_or_else(|| no_number(text))
+}
+
+fn no_number(text: &str) -> String {
+    format!("expected a number such as 1.5, found \"{text}\"")
 }
 
 /// A whole number, decimal or with `0x`.
