@@ -29,6 +29,8 @@
 //! `features = ["sim"]`.
 
 mod bus_kind;
+#[cfg(any(feature = "explain", all(feature = "port", feature = "sim")))]
+mod error_name;
 #[cfg(feature = "explain")]
 pub mod explain;
 #[cfg(all(feature = "port", feature = "sim"))]

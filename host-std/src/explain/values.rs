@@ -5,6 +5,8 @@ use myactuator_protocol_core::command::{ErrorFlags, Field, ModelName, MotionRang
 use myactuator_protocol_core::quantity::Form;
 use serde_json::{Map, Value};
 
+use crate::error_name::error_name;
+
 /// Names with units, and values, in the order of the manual's tables.
 pub type Values = Map<String, Value>;
 
@@ -50,13 +52,6 @@ fn value(field: &Field, raw: i64, data: &Data, ranges: Option<&MotionRanges>) ->
 /// A number with few digits, as the double that people mean: 0.1, not 0.100000001.
 fn decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
-}
-
-fn error_name(error: ErrorFlags) -> String {
-    match error.name() {
-        Some(name) => name.to_owned(),
-        None => format!("unknown-0x{:04X}", error.bits()),
-    }
 }
 
 #[cfg(test)]

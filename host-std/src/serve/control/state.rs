@@ -1,10 +1,10 @@
 //! The true state, in JSON.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::ErrorFlags;
 use serde::Serialize;
 
 use super::request::Stuck;
+use crate::error_name::error_name;
 use crate::sim::SimulatedDrive;
 use crate::sim::plant::{Load, Supply};
 
@@ -91,10 +91,6 @@ impl MotorState {
         let (state, plant) = (drive.state(), drive.plant());
         let measured = state.measurement;
         let (angle_deg, speed_dps) = (plant.output_angle_deg(), plant.output_speed_dps());
-        let name = |error: ErrorFlags| match error.name() {
-            Some(name) => name.to_owned(),
-            None => format!("0x{:04X}", error.bits()),
-        };
         Self {
             motor,
             id: drive.id(),
@@ -116,7 +112,7 @@ impl MotorState {
             mosfet_temperature_c: measured.mos_temperature_c,
             supply_voltage_v: measured.supply_voltage_v,
             supply_current_a: measured.supply_current_a,
-            errors: state.errors.each().map(name).collect(),
+            errors: state.errors.each().map(error_name).collect(),
             mode: state.mode.name(),
             output_on: state.output_on,
             brake: state.brake.name(),
