@@ -1,7 +1,7 @@
 //! One bus for several threads: two motors moved at the same time, what the bus reports, a motor that restarts, and
 //! the stop of all, also by Ctrl-C.
 //!
-//! `cargo run -p myactuator-host-std --example threads`; behind `--`, another bus than a simulated one
+//! `cargo run -p myactuator-host-std --example threads`; after `--`, another bus than a simulated one
 
 use std::error::Error;
 use std::ops::ControlFlow;

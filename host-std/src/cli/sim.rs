@@ -84,8 +84,8 @@ Quirks: behaviour of real drives that differs from the manual
 
 /// Serve simulated drives to other programs, in real time
 ///
-/// Without a file there are two buses: an RS485 line behind a pseudo-terminal, and a CAN bus behind another one that
-/// speaks SLCAN. Each has its own drives, with the same ids. A file has any number of buses, each with its own drives.
+/// Without a file there are two buses: an RS485 line on a pseudo-terminal, and a CAN bus on another one, which speaks
+/// SLCAN. Each has its own drives, with the same ids. A file has any number of buses, each with its own drives.
 /// What drives ignore, refuse or suffer is reported on the standard error. Ctrl-C ends it.
 ///
 /// Exit status: 0 served until a signal, 1 not, 2 wrong usage.
@@ -156,7 +156,7 @@ pub(super) struct Arguments {
 enum Way {
     /// RS485 on a pseudo-terminal
     Rs485,
-    /// CAN behind an SLCAN adapter on a pseudo-terminal
+    /// CAN through an SLCAN adapter on a pseudo-terminal
     Slcan,
     /// CAN on the interface of --can
     Can,
@@ -171,7 +171,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     serving::serve(served, arguments).map_err(|error| Unfinished::Failed(error.to_string()))
 }
 
-/// The buses of a file, each behind a pseudo-terminal with its name.
+/// The buses of a file, each on a pseudo-terminal with its name.
 fn from_file(file: &Path, seed: Option<u64>) -> Result<Vec<Served>, String> {
     let mut robot = Robot::from_file(file).map_err(|error| error.to_string())?;
     if let Some(seed) = seed {

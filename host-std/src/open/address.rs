@@ -195,7 +195,7 @@ fn simulated(motors: &str) -> Result<BusAddress, Unexpected> {
         }
     };
     let wrong = || {
-        let count = format!("a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\"");
+        let count = format!("a number of simulated motors from 1 to {MOST_MOTORS} after \"sim:\"");
         Unexpected::new(count, motors)
     };
     let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok());

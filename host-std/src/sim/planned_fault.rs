@@ -274,7 +274,7 @@ fn whom(text: &str) -> Result<(Option<MotorId>, Option<Direction>), Unexpected> 
     let wrong = || {
         let last = MotorId::COUNT;
         let place = format!(
-            "a motor from 1 to {last}, to-drives, from-drives, or both with a comma behind \"@\""
+            "a motor from 1 to {last}, to-drives, from-drives, or both with a comma after \"@\""
         );
         Unexpected::new(place, text)
     };

@@ -10,7 +10,7 @@ use super::run_for::{self, Run, Span};
 use super::speed::told;
 use crate::cli::{Outcome, arguments as parse};
 
-/// Run a motor at a torque current for a while, then stop it (0x81) and switch it off behind its brake (0x78, 0x80)
+/// Run a motor at a torque current for a while, then stop it (0x81), lock its brake (0x78) and switch it off (0x80)
 ///
 /// A locked brake is released first. A motor that ran something before, or that has no brake, is not switched off at
 /// the end: it holds still (0x81), so that no load falls.

@@ -120,7 +120,7 @@ fn found_instead(line: &[u8]) -> Option<String> {
     match (names.next(), names.next()) {
         (Some((_, Value::Object(_))), None) => None,
         (Some((name, value)), None) => Some(format!(
-            "found {value} behind \"{name}\", where an object with its quantities belongs, or {{}} for none"
+            "found {value} after \"{name}\", where an object with its quantities belongs, or {{}} for none"
         )),
         (None, _) => Some("found no name of one".to_owned()),
         (Some(_), Some(_)) => Some(format!("found {} at once", keys.len())),
@@ -159,9 +159,9 @@ mod tests {
         for (line, sentence) in [
             (
                 r#"{"time":null}"#,
-                r#"found null behind "time", where an object with its quantities belongs, or {} for none"#,
+                r#"found null after "time", where an object with its quantities belongs, or {} for none"#,
             ),
-            (r#"{"angle":90}"#, r#"found 90 behind "angle", where an object "#),
+            (r#"{"angle":90}"#, r#"found 90 after "angle", where an object "#),
             (r#""time""#, r#"found "time""#),
             ("{}", "found no name of one"),
             (r#"{"time":{},"state":{}}"#, "found 2 at once"),

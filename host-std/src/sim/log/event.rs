@@ -105,7 +105,7 @@ impl fmt::Display for FrameFault {
             Self::Corrupted => "arrives with a wrong bit, by a fault",
             Self::Duplicated => "arrives twice, by a fault",
             Self::Delayed => "arrives late, by a fault",
-            Self::Reordered => "arrives behind the one that follows it, by a fault",
+            Self::Reordered => "arrives after the one that follows it, by a fault",
             Self::Broken => "went wrong on the wire: disturbed, or sent while another was",
         })
     }
