@@ -26,7 +26,7 @@ use crate::master::Failure;
 use crate::units::{EncoderPulses, Milliseconds};
 
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
-const ZERO_TOLERANCE: i32 = 100;
+const ZERO_TOLERANCE: u32 = 100;
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).
 pub async fn identify<B: Calls<N>, const N: usize>(
@@ -74,7 +74,7 @@ async fn keeps_zero<B: Calls<N>, const N: usize>(
     restart_what_is_off(bus, motor, motor).await?;
     let found = bus.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
     let angle = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
-    if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
+    if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE {
         Ok(stored)
     } else {
         Err(BringUpError::ZeroNotKept { motor, stored, found, angle })

@@ -149,7 +149,7 @@ pub trait AsyncRunner<const N: usize> {
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         // Motors that the master has no place for are not stopped, and stay unconfirmed.
         let _ = self.master().stop_all(kind, also);
-        let motors = self.master().motors().iter().chain(also.iter()).collect();
+        let motors = self.master().motors().with(also);
         unconfirmed(self, motors).await
     }
 }

@@ -53,8 +53,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
         return Err(BringUpError::IdTaken(to));
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
-    let both = MotorSet::from(from).with(to.into());
-    runner.master().has_places_for(both).map_err(CallError::refused(to))?;
+    runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }

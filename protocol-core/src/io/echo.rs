@@ -27,8 +27,8 @@ const SENDINGS: usize = 8;
 /// and an echo comes before the answer. This counts only for commands whose answer never is the same bytes: a read of
 /// the status, the date or the model.
 ///
-/// So before the loops send a command whose answer may be the same bytes, they read that motor's status, with the
-/// exception and the costs that [`Bus::Rs485`](crate::master::Bus::Rs485) names. But once a command seems answered, that
+/// So before the loops send a command whose answer may be the same bytes, they read that motor's status; see
+/// [`Bus::Rs485`](crate::master::Bus::Rs485) for the exception and the costs. But once a command seems answered, that
 /// motor's status is read before the stops of others are sent: otherwise each of these would be waited for in vain.
 ///
 /// An adapter is found to echo if something comes back that no drive sends: a frame to all, or two of these reads of

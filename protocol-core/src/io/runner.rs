@@ -12,9 +12,8 @@ use crate::io::polled::Polled;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
-/// How long a stop of all motors is tried at most, measured by [`Elapsed`](crate::io::Elapsed). So a program that was
-/// suspended meanwhile goes on with the stop, and one whose driver blocks the loop at each use sends four or five
-/// times.
+/// How long a stop of all motors is tried at most, measured by [`Elapsed`](crate::io::Elapsed): a program that was
+/// suspended meanwhile goes on with the stop.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long a question waits for its turn at most. An earlier request ends sooner, except a stop that waits for a bus
