@@ -1,6 +1,6 @@
 //! How a task waits between two rounds.
 
-use core::future::{pending, poll_fn};
+use core::future::poll_fn;
 use core::pin::{Pin, pin};
 use core::task::Poll;
 
@@ -18,12 +18,7 @@ pub(super) async fn rest<T>(
     until: Option<Instant>,
     is_refused: bool,
 ) {
-    let mut timer = pin!(async {
-        match until {
-            Some(until) => clock.wait_until(until).await,
-            None => pending().await,
-        }
-    });
+    let mut timer = pin!(wait(clock, until));
     let (mut has_waited, mut is_over) = (false, false);
     poll_fn(|context| {
         is_over |= has_waited && is_refused;
@@ -44,4 +39,12 @@ pub(super) async fn rest<T>(
         Poll::Pending
     })
     .await;
+}
+
+/// Waits until `until`, or for ever.
+async fn wait(clock: &mut impl AsyncClock, until: Option<Instant>) {
+    match until {
+        Some(until) => clock.wait_until(until).await,
+        None => core::future::pending().await,
+    }
 }
