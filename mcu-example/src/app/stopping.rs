@@ -194,9 +194,9 @@ impl<const N: usize> App<N> {
     /// checked: at once if the motors were about to start, otherwise in the next cycle.
     pub(super) fn slips(&mut self, at: &mut Moment<'_, N, impl Board>) {
         self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
-        if let State::Finding(_) | State::Preparing(_) = self.state {
+        let is_starting = matches!(self.state, State::Finding(_) | State::Preparing(_));
+        if is_starting && self.look(self.setup.stop, MotorSet::EMPTY, at) {
             self.button.fell(at.now);
-            self.look(self.setup.stop, MotorSet::EMPTY, at);
         }
     }
 
