@@ -49,9 +49,10 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Action::Release => {
             let mut session = arguments.motor.open_to_send(Opcode::ReleaseBrake)?;
             session.ask(motor, ReadStatus1)?;
-            session.confirm(&format!(
-                "Motor {motor}'s brake will let the shaft go: a load can turn it then."
-            ))?;
+            session.confirm(
+                motor,
+                &format!("Motor {motor}'s brake will let the shaft go: a load can turn it then."),
+            )?;
             if session.let_go(motor)? {
                 say(&format!("motor {motor}: brake released: a load can turn its shaft now"))
             } else {

@@ -47,7 +47,7 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
         return say(&format!("motor {from} has this id already"));
     }
     session.standing(from)?;
-    session.confirm(&format!(
+    session.confirm(from, &format!(
         "Motor {from} will be switched off, store id {to} in its ROM, and restart: hold the shaft if a load pulls at it. Its whole turns may be lost."
     ))?;
     change(session, from, to)?;

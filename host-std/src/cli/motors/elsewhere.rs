@@ -154,6 +154,14 @@ enum Deed {
     Stopped(StopKind),
 }
 
+/// The motor that another program has stopped, if this event shows that.
+pub(super) fn stopped_elsewhere(event: &Event) -> Option<MotorId> {
+    match deed(event)? {
+        (motor, Deed::Stopped(_)) => Some(motor),
+        (_, Deed::Moved) => None,
+    }
+}
+
 /// What the event shows of another program.
 fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };

@@ -56,8 +56,8 @@ fn of_others(session: &Session, meant: Target, confirmed: MotorSet) -> String {
     format!("; no other id has confirmed{garbled}: a motor that is not named here may go on")
 }
 
-/// Returns the motors that have confirmed.
-fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
+/// Stops these motors. Returns those that have confirmed.
+pub(super) fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
     if let Target::Motor(motor) = meant {
         session.confirm_stop(kind, motor.into())?;
         session.stop_what_moves(kind, motor.into())?;

@@ -80,8 +80,10 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         .max_torque_pct
         .map(|torque| format!(", with at most {torque}"))
         .unwrap_or_default();
-    session
-        .confirm(&format!("Motor {motor} will move from {here} to {target} {speed}{torque}."))?;
+    session.confirm(
+        motor,
+        &format!("Motor {motor} will move from {here} to {target} {speed}{torque}."),
+    )?;
     let when_stalled = if arguments.press { WhenStalled::Press } else { WhenStalled::Stop };
     let limits = MoveLimits { time: arguments.timeout_s, when_stalled, ..MoveLimits::default() };
     let angle = arguments.angle_deg;

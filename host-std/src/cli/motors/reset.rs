@@ -32,7 +32,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 fn run_on(session: &mut Session, motor: MotorId) -> Outcome {
     session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    session.confirm(&format!(
+    session.confirm(motor, &format!(
         "Motor {motor} will restart: hold the shaft if a load pulls at it. Its whole turns may be lost (it reads {before})."
     ))?;
     restart(session, motor)?;

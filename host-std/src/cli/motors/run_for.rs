@@ -78,7 +78,10 @@ pub(super) fn run<C: Command + Copy>(
         StopKind::Hold => "then stop and hold still",
         StopKind::Off => "then stop, lock its brake and switch off, or hold still if it has none",
     };
-    session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
+    session.confirm(
+        motor,
+        &format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does),
+    )?;
     // The shaft may have been turned before the user answered.
     may_run(session)?;
     let ended = session.moving(motor, |session| {

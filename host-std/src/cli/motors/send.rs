@@ -7,10 +7,11 @@ use myactuator_protocol_core::command::{
     AnyCommand, BusId, Phrase, RawCommand, Speed, awaits_reply,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
+use super::halt::halt;
 use super::help::{SIGNALS, STOPS, paragraphs};
 use super::moving::{LONGEST_WAIT, named};
 use super::on_bus::OnBus;
@@ -111,7 +112,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let command = arguments.command.command(ranges.as_ref())?;
     let sending = Sending { command, explainer, json: arguments.json };
     if needs_consent(kind) {
-        session.confirm(&sending.question(motors))?;
+        session.confirm(motors, &sending.question(motors))?;
     }
     let send = |session: &mut Session| match target {
         Target::Motor(motor) => sending.to_one(session, motor),
@@ -124,11 +125,14 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     // read.
     session.moving(motors, |session| {
         if target == Target::All {
-            // Also those that the scan has not found.
             session.master.moved = MotorSet::ALL;
         }
-        send(session)?;
-        session.wait_for_reader()
+        let sent = send(session).and_then(|()| session.wait_for_reader());
+        if sent.is_err() && target == Target::All {
+            // Also those that the scan has not found. The stop that follows reports on the others.
+            let _ = halt(session, target, StopKind::Hold);
+        }
+        sent
     })?;
     let stop = session.hint("stop", target);
     report("note", format!("{} may go on: {stop} ends that", named(motors)));

@@ -17,7 +17,7 @@ use myactuator_protocol_core::master::{Config, Event, MotorSet};
 use myactuator_protocol_core::opcode::Repeat;
 use myactuator_protocol_core::{Kind, MotorId, Opcode, Target};
 
-use super::elsewhere::Watched;
+use super::elsewhere::{Watched, stopped_elsewhere};
 use super::moving::LONGEST_WAIT;
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
@@ -227,9 +227,12 @@ impl Session {
         }
     }
 
-    /// Asks the user, unless there is consent or the motors are simulated. What has arrived meanwhile says nothing about
-    /// what follows.
-    pub(super) fn confirm(&mut self, what: &str) -> Outcome {
+    /// Asks the user whether to do this with these motors, unless there is consent or they are simulated. What has
+    /// arrived meanwhile answers nothing that follows.
+    ///
+    /// # Errors
+    /// The user does not want it, or another program has stopped one of the motors meanwhile.
+    pub(super) fn confirm(&mut self, motors: impl Into<MotorSet>, what: &str) -> Outcome {
         if self.yes || self.address.is_simulated() {
             return Ok(());
         }
@@ -240,16 +243,28 @@ impl Session {
         let mut answer = String::new();
         io::stdin().lock().read_line(&mut answer).map_err(|error| unwritten(&error))?;
         if matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
-            self.take_what_waits()
+            self.take_what_waits(motors.into())
         } else {
             Err(Unfinished::Failed("not confirmed, so nothing was done".to_owned()))
         }
     }
 
     /// Takes what has arrived since the bus was last looked at.
-    fn take_what_waits(&mut self) -> Outcome {
+    ///
+    /// # Errors
+    /// Another program has stopped one of these motors.
+    fn take_what_waits(&mut self, motors: MotorSet) -> Outcome {
         let soon = self.master.now() + LONGEST_WAIT;
-        self.wait_until(soon)
+        let mut stopped = MotorSet::EMPTY;
+        self.master.run_until(soon, |event| {
+            stopped_elsewhere(&event).into_iter().for_each(|motor| stopped.insert(motor));
+        })?;
+        match motors.iter().find(|motor| stopped.contains(*motor)) {
+            Some(motor) => Err(Unfinished::Failed(format!(
+                "something else on this bus has stopped motor {motor} meanwhile, so nothing was done"
+            ))),
+            None => Ok(()),
+        }
     }
 
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
@@ -429,20 +444,34 @@ mod tests {
         }
     }
 
-    /// Another program's stop from before the answer to a question is no reason to stop.
     #[test]
-    fn what_arrived_during_a_question_says_nothing_about_what_follows() {
+    fn motor_that_another_program_stops_during_the_question_is_not_moved() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let stop = to_first([0x80, 0, 0, 0, 0, 0, 0, 0]);
+        let stop = to_first([0x81, 0, 0, 0, 0, 0, 0, 0]);
         OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(10)));
         let mut session = Session::on(&fleet);
         fleet.world.run_for(Duration::from_secs(1));
-        session.take_what_waits().unwrap();
-        let outcome = session.moving(MotorId::MIN, |session| {
-            session.ask(MotorId::MIN, ReadStatus2)?;
-            session.check_stopped_elsewhere()
-        });
-        assert_eq!(outcome, Ok(()));
+        let stopped = session.take_what_waits(MotorId::MIN.into());
+        let message =
+            "something else on this bus has stopped motor 1 meanwhile, so nothing was done";
+        assert_eq!(stopped, Err(Unfinished::Failed(message.to_owned())));
+        fleet.world.run_for(Duration::from_secs(1));
+        assert_eq!(session.take_what_waits(MotorId::MIN.into()), Ok(()), "that was before");
+    }
+
+    /// Another program has asked for the status before, when the motor turned.
+    #[test]
+    fn reply_that_came_during_the_question_answers_nothing_that_follows() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let asks = to_first(ReadStatus2.encode());
+        OtherMaster::attach(&fleet, asks, Sends::Once(Duration::from_millis(10)));
+        fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+        let mut session = Session::on(&fleet);
+        fleet.world.run_for(Duration::from_millis(50));
+        fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 0.0)).unwrap();
+        fleet.world.run_for(Duration::from_secs(1));
+        session.take_what_waits(MotorId::MIN.into()).unwrap();
+        assert_eq!(session.standing(MotorId::MIN), Ok(()));
     }
 
     #[test]

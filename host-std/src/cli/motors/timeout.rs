@@ -35,7 +35,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let (motor, time) = (arguments.motor.id, arguments.time_ms);
     let mut session = arguments.motor.open_to_send(Opcode::CommunicationLossProtection)?;
     note_short(time);
-    session.confirm(&question(motor, time))?;
+    session.confirm(motor, &question(motor, time))?;
     session.is_finished_first()?;
     let told = bring_up::protect(&mut session.master, motor, time)
         .map_err(|error| session.failed(error))?;

@@ -29,7 +29,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let mut session = arguments.motor.open_to_send(Opcode::SetCurrentPositionZero)?;
     session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    session.confirm(&format!(
+    session.confirm(motor, &format!(
         "Motor {motor} will be switched off, make its present position ({before}) the zero in its ROM, and restart: hold the shaft if a load pulls at it."
     ))?;
     say(&make(&mut session, motor)?)
