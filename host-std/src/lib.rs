@@ -29,8 +29,6 @@
 //! `features = ["sim"]`.
 
 mod bus_kind;
-#[cfg(any(feature = "explain", all(feature = "port", feature = "sim")))]
-mod error_name;
 #[cfg(feature = "explain")]
 pub mod explain;
 #[cfg(all(feature = "port", feature = "sim"))]
@@ -49,6 +47,8 @@ pub mod text;
 mod unexpected;
 
 pub use bus_kind::BusKind;
+#[cfg(feature = "sim")]
+pub(crate) use bus_kind::LINE_RATES;
 /// The protocol itself, [`myactuator_protocol_core`]. A package that depends on this crate needs no dependency
 /// on that, and cannot get another version of it.
 #[doc(no_inline)]

@@ -5,7 +5,7 @@ use myactuator_protocol_core::command::{ErrorFlags, Field, ModelName, MotionRang
 use myactuator_protocol_core::quantity::Form;
 use serde_json::{Map, Value};
 
-use crate::error_name::error_name;
+use crate::text::error_name;
 
 /// Names with units, and values, in the order of the manual's tables.
 pub type Values = Map<String, Value>;

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 
-use crate::bus_kind::LINE_RATES;
+use crate::LINE_RATES;
 use crate::text::slcan::Rate;
 use crate::{BusKind, Unexpected};
 

@@ -3,9 +3,11 @@
 //! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes;
 //! [`slcan`] is the text that CAN adapters on serial ports speak. [`packet`] writes a packet for people.
 //!
-//! The lowest layer: nothing here opens anything or knows what a frame means.
+//! The lowest layer: nothing here opens anything or knows what a frame means, but for the names of errors.
 
 pub mod can;
+#[cfg(any(feature = "explain", all(feature = "port", feature = "sim")))]
+mod error_name;
 pub mod rs485;
 pub mod slcan;
 
@@ -14,6 +16,8 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::wire::rs485::Frame;
 
 use crate::BusKind;
+#[cfg(any(feature = "explain", all(feature = "port", feature = "sim")))]
+pub(crate) use error_name::error_name;
 
 /// A packet as text: `141#A400F401A08C0000` on CAN, all 13 bytes as hexadecimal on RS485.
 ///

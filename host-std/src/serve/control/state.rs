@@ -4,9 +4,9 @@ use myactuator_protocol_core::MotorId;
 use serde::Serialize;
 
 use super::request::Stuck;
-use crate::error_name::error_name;
 use crate::sim::SimulatedDrive;
 use crate::sim::plant::{Load, Supply};
+use crate::text::error_name;
 
 /// A bus, with the motors that were asked for.
 #[derive(Clone, Debug, Serialize)]

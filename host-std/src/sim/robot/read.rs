@@ -12,7 +12,7 @@ use toml::Spanned;
 use super::table::{BusTable, Ids, MechanicsTable, MotorTable, QuirkNames, RobotTable, Word};
 use super::{MechanicsProcess, Robot, RobotBus};
 use crate::BusKind;
-use crate::bus_kind::LINE_RATES;
+use crate::LINE_RATES;
 use crate::sim::model_file::{line_of, named_model, of_toml};
 use crate::sim::plant::MotorParameters;
 use crate::sim::{Fleet, MotorSetup};
