@@ -44,8 +44,9 @@ impl<const N: usize> App<N> {
             Answer::None => self.see(motor, Seen::Missed, at.now),
             // It holds nothing.
             Answer::Errors(_) => {}
-            _ => {
-                let [before, after] = self.beliefs.see(motor, Seen::Answered);
+            answer => {
+                let seen = if answer == Answer::Sound { Seen::Sound } else { Seen::Answered };
+                let [before, after] = self.beliefs.see(motor, seen);
                 if after.obeys() && !before.obeys() {
                     self.hold_again(motor, before.has_let_go(), at);
                 }
@@ -81,7 +82,7 @@ impl<const N: usize> App<N> {
                 None
             }
             Answer::None => Some(self.silent(motor, at)),
-            Answer::Done => None,
+            Answer::Done | Answer::Sound => None,
             Answer::Version(version_date) => {
                 self.expected.insert(motor);
                 let is_known = self.setup.accepts(version_date);

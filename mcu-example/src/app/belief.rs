@@ -8,6 +8,10 @@ use myactuator_protocol_core::master::MotorSet;
 pub(super) enum Seen {
     /// It restarted or lost its master.
     LetGo,
+    /// It reports an error: it holds nothing, and its brake is told to lock.
+    Failed,
+    /// It reports no error.
+    Sound,
     /// It did not answer a question of the rounds, or did not confirm a stop in time.
     Missed,
     /// It answered a question of the rounds.
@@ -34,6 +38,8 @@ enum Contact {
     Doubted(u8),
     /// It holds nothing, and has answered so many questions since.
     LetGo(u8),
+    /// It has an error, and holds nothing.
+    Failed,
 }
 
 /// What holds a shaft while the motors are stopped. Behind a locked brake a motor holds nothing, whatever it confirms.
@@ -60,21 +66,24 @@ pub(super) struct Belief {
 
 impl Belief {
     const fn after(self, seen: Seen) -> Self {
-        use Contact::{Doubted, LetGo, Obeys};
+        use Contact::{Doubted, Failed, LetGo, Obeys};
         use Shaft::{Held, Turned, Unchecked, Watched};
         let contact = match (self.contact, seen) {
             (_, Seen::LetGo) | (Doubted(0) | LetGo(_), Seen::Missed) => LetGo(0),
             (_, Seen::Missed) => Doubted(0),
-            (Doubted(0), Seen::Answered) => Doubted(1),
-            (LetGo(0), Seen::Answered) => LetGo(1),
-            (_, Seen::Answered) => Obeys,
+            (Obeys | Doubted(_), Seen::Failed) | (Failed, Seen::Answered) => Failed,
+            (Doubted(0), Seen::Answered | Seen::Sound) => Doubted(1),
+            (LetGo(0), Seen::Answered | Seen::Sound) => LetGo(1),
+            (_, Seen::Answered | Seen::Sound) => Obeys,
             (same, _) => same,
         };
         let shaft = match (self.shaft, seen) {
             (_, Seen::Ready) => Held,
             (_, Seen::ShutDown) => Watched { missed: false },
             // Its brake may have locked.
-            (Held | Turned { .. }, Seen::LetGo | Seen::Missed) => Watched { missed: false },
+            (Held | Turned { .. }, Seen::LetGo | Seen::Missed) | (Held, Seen::Failed) => {
+                Watched { missed: false }
+            }
             (_, Seen::MayTurn) => Unchecked { missed: false },
             (Unchecked { .. } | Watched { .. }, Seen::Stands) => Watched { missed: false },
             (Unchecked { missed }, Seen::Turns) => Turned { missed },
@@ -92,6 +101,10 @@ impl Belief {
 
     pub(super) fn obeys(&self) -> bool {
         self.contact == Contact::Obeys
+    }
+
+    pub(super) fn has_failed(&self) -> bool {
+        self.contact == Contact::Failed
     }
 
     pub(super) fn has_let_go(&self) -> bool {

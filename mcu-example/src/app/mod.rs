@@ -153,7 +153,12 @@ impl<const N: usize> App<N> {
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
-            (State::Stopped { .. }, Press::Short) => {
+            (&State::Stopped { kind, .. }, Press::Short) => {
+                let failed = self.beliefs.those(Belief::has_failed);
+                if !failed.is_empty() {
+                    // Where the error is over, a load would fall until all are found.
+                    let _ = at.master.stop_all(kind, failed);
+                }
                 self.motors.clear();
                 self.locks.forget_errors();
                 let all = self.known();

@@ -47,8 +47,10 @@ pub(super) enum Question {
 pub(super) enum Answer {
     /// No answer came, or it cannot be read.
     None,
-    /// It was done, or nothing is wrong.
+    /// It was done, or its shaft stands.
     Done,
+    /// It reports no error.
+    Sound,
     Version(VersionDate),
     Model(ModelName),
     Errors(ErrorFlags),
@@ -109,7 +111,7 @@ impl Question {
             }
             Self::Model => Answer::Model(ReadModel::decode_reply(data).ok()?.model),
             Self::Errors => match ReadStatus1::decode_reply(data).ok()?.errors {
-                errors if errors.is_empty() => Answer::Done,
+                errors if errors.is_empty() => Answer::Sound,
                 errors => Answer::Errors(errors),
             },
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
@@ -240,9 +242,9 @@ impl Script {
         }
     }
 
-    /// Whether no brake was told to open or to lock yet.
-    pub(super) const fn leaves_brakes(&self) -> bool {
-        matches!(self.part, Part::Find | Part::Protect | Part::ReportErrors)
+    /// The motor whose brake is being opened.
+    pub(super) fn opens(&self) -> Option<MotorId> {
+        if self.part == Part::Release { self.left.iter().next() } else { None }
     }
 
     /// Asks the next question if none is in flight.

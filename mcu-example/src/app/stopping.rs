@@ -22,10 +22,11 @@ const STOP_AGAIN: Duration = Duration::from_millis(400);
 impl<const N: usize> App<N> {
     /// Reports what is wrong and stops all motors. If they are stopped already, only errors are reported.
     pub(super) fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
-        if let Trouble::Errors { motor, .. } = trouble
-            && !self.locks.fails(motor)
-        {
-            return;
+        if let Trouble::Errors { motor, .. } = trouble {
+            self.beliefs.see(motor, Seen::Failed);
+            if !self.locks.fails(motor) {
+                return;
+            }
         }
         let is_error = matches!(trouble, Trouble::Errors { .. });
         let goes_on = match self.state {
@@ -121,6 +122,7 @@ impl<const N: usize> App<N> {
                 if is_over && !is_looking {
                     self.tell_stopped(kind, unconfirmed, at);
                 }
+                self.ask_watched(at);
             }
             State::Stopped { kind, unconfirmed, again } => {
                 let (kind, unconfirmed) = (*kind, *unconfirmed);
@@ -164,9 +166,10 @@ impl<const N: usize> App<N> {
         was_gone: bool,
         at: &mut Moment<'_, N, impl Board>,
     ) {
-        if let State::Stopped { unconfirmed, again, .. } = &mut self.state {
+        if let State::Stopped { kind, unconfirmed, .. } = &mut self.state {
             unconfirmed.insert(motor);
-            *again = at.now;
+            // At once: in the next cycle a press may start the motors.
+            let _ = at.master.stop_all(*kind, *unconfirmed);
         }
         // A motor that never answers one of the questions comes here again and again, and has not let go.
         if was_gone {
@@ -177,25 +180,33 @@ impl<const N: usize> App<N> {
 
     /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
     pub(super) fn watched(&self, now: Instant) -> MotorSet {
-        let unconfirmed = match &self.state {
+        let not_asked = match &self.state {
             State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => *unconfirmed,
+            State::Stopping { kind: StopKind::Hold, waiting, unconfirmed, .. } => {
+                waiting.with(*unconfirmed)
+            }
             // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting.
-            State::Finding(script) | State::Preparing(script) if script.leaves_brakes() => {
-                MotorSet::EMPTY
+            State::Finding(script) | State::Preparing(script) => {
+                script.opens().into_iter().collect()
             }
             // Their shafts are checked, or nothing holds them, or they move.
             _ => return MotorSet::EMPTY,
         };
         let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
-        self.locks.among(there.without(unconfirmed), now)
+        self.locks.among(there.without(not_asked), now)
     }
 
     /// A motor that is watched turns. What makes one brake slip may make others slip, so all that are watched are
-    /// checked: at once if the motors were about to start, otherwise in the next cycle.
+    /// checked: at once if the motors were about to start, otherwise in the next cycle. A motor whose brake is being
+    /// opened is stopped before, so that it holds.
     pub(super) fn slips(&mut self, at: &mut Moment<'_, N, impl Board>) {
         self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
-        let is_starting = matches!(self.state, State::Finding(_) | State::Preparing(_));
-        if is_starting && self.look(self.setup.stop, MotorSet::EMPTY, at) {
+        let (State::Finding(script) | State::Preparing(script)) = &self.state else { return };
+        if script.opens().is_some() {
+            self.button.fell(at.now);
+            self.locks.move_now(self.expected, at.now);
+            self.stop(self.setup.stop, at);
+        } else if self.look(self.setup.stop, MotorSet::EMPTY, at) {
             self.button.fell(at.now);
         }
     }
@@ -203,7 +214,9 @@ impl<const N: usize> App<N> {
     /// Asks the next of the watched motors. Both rounds may want the same one: the one that has waited for longer is
     /// first.
     pub(super) fn ask_watched(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        let is_second = self.rounds.is_due(at.now) && self.rounds.is_before(&self.watch);
+        let is_second = !self.attended().is_empty()
+            && self.rounds.is_due(at.now)
+            && self.rounds.is_before(&self.watch);
         if self.watch.is_due(at.now) && !is_second {
             let (motors, asked) = (self.watched(at.now), self.rounds.asked());
             self.watch.ask(motors, asked, &self.setup, at.master, at.now);

@@ -11,7 +11,7 @@ use myactuator_tests::values::{id, millis};
 
 use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, slips, stays_held};
 use super::shutdown::{break_off, shut_down};
-use super::{Firmware, Moved, told_by};
+use super::{Firmware, Moved, angle_deg, told_by};
 
 on_both_buses! {
     a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
@@ -24,6 +24,8 @@ on_both_buses! {
     a_brake_that_was_told_to_lock_is_watched_whatever_it_says
     a_motor_that_lets_go_again_and_again_leaves_the_button_alive
     a_press_after_a_second_motor_has_let_go_starts_nothing
+    a_motor_whose_error_is_over_is_told_to_hold_again
+    a_press_in_the_same_moment_leaves_a_motor_holding
 }
 
 /// A bus on which motor 3 answers otherwise.
@@ -195,10 +197,11 @@ fn a_press_while_a_motor_lets_go_starts_nothing<B: Moved>() {
 fn brakes_that_slip_at_the_same_time_are_all_seen<B: Moved>() {
     for slips_after_ms in [1_000, 1_080, 1_160] {
         let bus = loaded::<B>(8, true);
-        let (mut firmware, before_deg) = before_shutdown(&bus);
+        let (mut firmware, _) = before_shutdown(&bus);
         let slipping = &bus.drives[1..4];
         slipping.iter().for_each(|drive| lets_go(&mut firmware, drive, true, 0));
         firmware.run_for(millis(slips_after_ms));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
         for drive in slipping {
             slips(drive);
         }
@@ -269,5 +272,45 @@ fn a_press_after_a_second_motor_has_let_go_starts_nothing<B: Moved>() {
         firmware.press(millis(pressed_ms));
         firmware.stays_stopped();
         assert_eq!(firmware.panel.reports, [], "{between_ms} {pressed_ms} ms");
+    }
+}
+
+/// An under-voltage that lasts until it was read: it is every 90 ms. No brake holds the load meanwhile.
+fn a_motor_whose_error_is_over_is_told_to_hold_again<B: Moved>() {
+    for phase_ms in [0, 10, 20, 30, 40, 50, 60, 70, 80] {
+        let bus = loaded::<B>(3, false);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        firmware.run_for(millis(phase_ms));
+        let (last, flags) = (&bus.drives[2], ErrorFlags::UNDER_VOLTAGE);
+        last.with(|drive| drive.raise_fault(flags));
+        firmware.run_for(millis(100));
+        last.with(|drive| drive.clear_fault(flags));
+        firmware.run_for(millis(1_000));
+        let fallen = fallen_deg(&bus, &before_deg);
+        let told = firmware.troubles();
+        assert_eq!(told.first(), Some(&Trouble::Errors { motor: id(3), flags }), "{told:?}");
+        // 28 degrees without friction in 200 ms.
+        assert!(!is_off(last) && fallen[2] < 28.0, "{phase_ms} ms: {fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
+}
+
+/// The error is over. Before the motor is told to hold again, or just then, the button starts the motors.
+fn a_press_in_the_same_moment_leaves_a_motor_holding<B: Moved>() {
+    for phase_ms in 0..10 {
+        let bus = loaded::<B>(1, false);
+        let (mut firmware, before_deg) = before_shutdown(&bus);
+        let (drive, flags) = (&bus.drives[0], ErrorFlags::UNDER_VOLTAGE);
+        firmware.panel.is_button_down = true;
+        firmware.run_for(millis(60));
+        drive.with(|drive| drive.raise_fault(flags));
+        firmware.run_for(millis(40));
+        drive.with(|drive| drive.clear_fault(flags));
+        firmware.run_for(millis(phase_ms));
+        firmware.panel.is_button_down = false;
+        firmware.run_for(millis(300));
+        let fallen = fallen_deg(&bus, &before_deg);
+        // As if there was no press. 9 degrees without friction in 110 ms.
+        assert!(!is_off(drive) && fallen[0] < 9.0, "{phase_ms} ms: {fallen:?}");
     }
 }

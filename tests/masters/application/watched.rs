@@ -2,11 +2,12 @@
 
 use std::cell::Cell;
 
-use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::{DriveHandle, Fleet};
 use myactuator_mcu_example::{Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::Data;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
+use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
@@ -26,6 +27,10 @@ on_both_buses! {
     a_slip_while_motors_are_looked_for_is_seen
     a_press_after_a_slip_that_ended_a_start_starts_nothing
     a_slip_while_another_motor_writes_slowly_is_seen
+    a_slip_while_brakes_open_one_after_the_other_is_seen
+    a_slip_while_others_do_not_confirm_their_stop_is_seen
+    a_slip_of_a_motor_that_confirmed_late_is_seen_during_the_next_start
+    a_brake_that_an_error_has_locked_is_watched
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
     a_load_that_sinks_before_it_ran_is_no_slip
@@ -248,6 +253,91 @@ fn a_slip_while_another_motor_writes_slowly_is_seen<B: Moved>() {
     // it, for 50 ms before and after: 36 degrees in 225 ms.
     let most_deg = if B::NAME == "CAN" { 15.0 } else { 36.0 };
     assert!(fallen[1] < most_deg, "{fallen:?}");
+    stays_held(&mut firmware, &bus);
+}
+
+/// The brakes of the others are open already, and their motors hold.
+fn a_slip_while_brakes_open_one_after_the_other_is_seen<B: Moved>() {
+    let bus = loaded::<B>(8, true);
+    let setup = Setup { cycle: millis(10), ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_until_preparing();
+    let is_open = |drive: &DriveHandle| state(drive).brake == BrakeCommand::RELEASE;
+    while !is_open(&bus.drives[0]) {
+        firmware.run_for(millis(1));
+    }
+    let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+    slips(&bus.drives[7]);
+    firmware.run_for(millis(1_500));
+    let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+    assert_eq!(told, [Trouble::Turns { motor: id(8) }], "{:?}", firmware.panel.reports);
+    assert!(!firmware.panel.reports.contains(&Report::State(StateName::Running)));
+    // Each command takes a cycle: up to 7 to the watched motors until this one is asked, 7 more until it is checked,
+    // and a few to stop it and to hold it. 36 degrees in 225 ms.
+    assert!(!is_off(&bus.drives[7]) && fallen[7] < 36.0, "{fallen:?}");
+    stays_held(&mut firmware, &bus);
+}
+
+/// A start is broken off while motors are looked for. No motor has the other ids.
+fn a_slip_while_others_do_not_confirm_their_stop_is_seen<B: Moved>() {
+    for after_ms in [0, 100, 200] {
+        let bus = loaded::<B>(2, true);
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        firmware.run_for(millis(1_500));
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Finding), millis(100));
+        break_off(&mut firmware);
+        firmware.run_for(millis(after_ms));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        slips(&bus.drives[1]);
+        firmware.run_for(millis(1_000));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        let expected = [Trouble::BusDown, Trouble::Turns { motor: id(2) }];
+        assert_eq!(told, expected, "{after_ms} ms: {fallen:?}");
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{after_ms} ms: {fallen:?}");
+        stays_held(&mut firmware, &bus);
+    }
+}
+
+/// Its shaft could not be checked after the shutdown that was broken off.
+fn a_slip_of_a_motor_that_confirmed_late_is_seen_during_the_next_start<B: Moved>() {
+    for phase_ms in (0..400).step_by(40) {
+        let bus = loaded::<B>(3, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        unplug(&bus, &bus.drives[1]);
+        break_off(&mut firmware);
+        firmware.run_for(millis(2_000 + phase_ms));
+        firmware.forget();
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Finding), millis(100));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        slips(&bus.drives[1]);
+        bus.world.mend(bus.drives[1].station());
+        firmware.run_for(millis(1_000));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{phase_ms} ms: {told:?}");
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{phase_ms} ms: {fallen:?}");
+    }
+}
+
+/// The error has gone.
+fn a_brake_that_an_error_has_locked_is_watched<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    let (last, flags) = (&bus.drives[2], ErrorFlags::MOTOR_OVER_TEMPERATURE);
+    last.with(|drive| drive.raise_fault(flags));
+    firmware.run_for(millis(500));
+    last.with(|drive| drive.clear_fault(flags));
+    firmware.run_for(millis(1_500));
+    let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+    slips(last);
+    firmware.run_for(millis(1_000));
+    let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+    let motor = last.motor();
+    assert_eq!(told, [Trouble::Errors { motor, flags }, Trouble::Turns { motor }], "{fallen:?}");
+    assert!(!is_off(last) && fallen[2] < 23.0, "{fallen:?}");
     stays_held(&mut firmware, &bus);
 }
 
