@@ -80,7 +80,9 @@ pub(crate) fn judge(test: impl FnOnce()) {
     let text = text.or(failure.downcast_ref::<&str>().copied()).unwrap_or_default();
     let (thread, first) = (thread::current(), text.lines().next().unwrap_or_default());
     let test = thread.name().unwrap_or_default();
-    not_judged(&format!("{test}: this machine kept threads waiting for {longest:?}: {first}"));
+    not_judged(&format!(
+        "{test}: this machine kept threads waiting for {longest:?} of a tenth of a second: {first}"
+    ));
 }
 
 /// Reports what this machine could not show: in the file that `NOT_JUDGED` names, which `.ci/run` reads, or here.

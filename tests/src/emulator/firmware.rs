@@ -202,7 +202,7 @@ impl Firmware {
         self.drives().handles().iter().map(Sample::at).collect()
     }
 
-    /// This time plus the longest time for which the machine was busy with other work.
+    /// This time plus the longest for which the machine was busy with other work in a tenth of a second.
     pub fn with_stalls(&self, within: Duration) -> Duration {
         within + self.stalls.longest()
     }
@@ -244,7 +244,7 @@ impl Firmware {
             self.samples().iter().map(|sample| format!("  {sample:?}\n")).collect();
         panic!(
             "{what}\nthe end of the log{ended}:\n{}drives:\n{samples}simulation: {:?}\nemulator: {:?}\n\
-             this machine kept threads waiting for up to {:?}, which excuses {} lost replies",
+             this machine kept threads waiting for up to {:?} of a tenth of a second, and excuses {} lost replies",
             log.tail(TAIL),
             drives.notices(),
             qemu.complaints(),

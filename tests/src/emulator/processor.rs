@@ -5,6 +5,7 @@
 //! keeps awake. The simulation needs microseconds at a time, and goes before the emulator.
 
 use std::cell::Cell;
+use std::collections::VecDeque;
 use std::hint;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -15,9 +16,13 @@ use std::time::{Duration, Instant};
 use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 
 /// A thread that wakes this late was kept waiting by the machine.
-const LATE: Duration = Duration::from_millis(15);
-/// The longest wait that the firmware tolerates: the emulated boards report their bus as down if a port sends nothing
-/// for longer.
+const LATE: Duration = Duration::from_millis(1);
+/// A thread that wakes this late may have cost a reply.
+const TOO_LATE: Duration = Duration::from_millis(15);
+/// Waits this close together add up: after this time without a motor's reply the application reports it as silent.
+const TOGETHER: Duration = Duration::from_millis(100);
+/// The waits that the firmware tolerates: the emulated boards report their bus as down if a port sends nothing for
+/// longer.
 const TOLERATED: Duration = Duration::from_millis(20);
 /// A master repeats a command after this time without a reply. So a wait costs one reply for each of these time-outs,
 /// and one for the rest.
@@ -29,12 +34,12 @@ thread_local! {
 }
 
 /// Whether a test that failed has shown nothing about the firmware, because the machine kept threads waiting for up to
-/// `longest` while it ran.
+/// `longest` of a tenth of a second while it ran.
 pub fn excuses_failure(longest: Duration) -> bool {
     longest > TOLERATED
 }
 
-/// The longest wait while this thread had firmware running. Each test has a thread of its own.
+/// The longest waits while this thread had firmware running, as [`Stalls::longest`]. Each test has a thread of its own.
 pub fn longest_in_this_test() -> Duration {
     LONGEST.get()
 }
@@ -104,7 +109,7 @@ impl Stalls {
         self.found.excused.load(Ordering::Relaxed)
     }
 
-    /// The longest wait so far.
+    /// The longest waits within any tenth of a second so far.
     pub fn longest(&self) -> Duration {
         Duration::from_micros(self.found.longest_us.load(Ordering::Relaxed))
     }
@@ -125,16 +130,35 @@ impl Found {
     fn observe(&self) {
         take();
         let pause = Duration::from_millis(1);
+        let mut recent = Recent::default();
         while !self.is_over.load(Ordering::Relaxed) {
             let asleep = Instant::now();
             thread::sleep(pause);
             let late = asleep.elapsed().saturating_sub(pause);
-            if late >= LATE {
+            if late >= TOO_LATE {
                 let replies = late.as_millis() / REPLY_TIMEOUT.as_millis() + 1;
                 self.excused.fetch_add(replies as usize, Ordering::Relaxed);
-                self.longest_us.fetch_max(late.as_micros() as u64, Ordering::Relaxed);
+            }
+            if late >= LATE {
+                let together = recent.add(Instant::now(), late);
+                self.longest_us.fetch_max(together.as_micros() as u64, Ordering::Relaxed);
             }
         }
+    }
+}
+
+/// The waits of the last tenth of a second, and when each was over.
+#[derive(Debug, Default)]
+struct Recent(VecDeque<(Instant, Duration)>);
+
+impl Recent {
+    /// Takes a wait that is over now. Returns how long all of them were.
+    fn add(&mut self, now: Instant, wait: Duration) -> Duration {
+        self.0.push_back((now, wait));
+        while self.0.front().is_some_and(|&(over, _)| now - over > TOGETHER) {
+            self.0.pop_front();
+        }
+        self.0.iter().map(|&(_, wait)| wait).sum()
     }
 }
 
@@ -152,6 +176,17 @@ impl Drop for Stalls {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn waits_within_a_tenth_of_a_second_add_up() {
+        let (mut recent, start) = (Recent::default(), Instant::now());
+        let waits = [(0, 8, 8), (16, 8, 16), (100, 3, 19), (101, 2, 13), (500, 15, 15)];
+        for (over_ms, wait_ms, together_ms) in waits {
+            let over = start + Duration::from_millis(over_ms);
+            let together = recent.add(over, Duration::from_millis(wait_ms));
+            assert_eq!(together, Duration::from_millis(together_ms), "{over_ms} ms");
+        }
+    }
 
     #[test]
     fn a_failure_counts_unless_the_machine_was_slower_than_the_firmware_tolerates() {
