@@ -14,8 +14,8 @@ const INTERVAL: Duration = Duration::from_millis(10);
 #[derive(Debug)]
 pub(super) struct Rounds {
     questions: &'static [Question],
-    /// Counts the questions: the next one. Each motor gets one question before any gets the next, so that none hears
-    /// nothing for long.
+    /// Counts the questions. Each motor gets one question before any gets the next, so that none hears nothing for
+    /// long.
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
@@ -54,12 +54,12 @@ impl Rounds {
         if motors.is_empty() {
             return;
         }
-        let turn = self.turn % (motors.len() * self.questions.len());
+        let turn = (self.turn + 1) % (motors.len() * self.questions.len());
         let Some(motor) = motors.iter().nth(turn % motors.len()) else { return };
         if asked_by_others == Some(motor) {
             return;
         }
-        self.turn = turn + 1;
+        self.turn = turn;
         let question = self.questions[turn / motors.len()];
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
