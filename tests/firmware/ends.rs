@@ -19,7 +19,7 @@ tests_on! {
     every_failure_stops_all_and_reports_its_cause
 }
 
-/// The application polls the button every 10 ms. A stop reaches all motors a few milliseconds later.
+/// The application polls the button every 20 ms. A stop reaches all motors a few milliseconds later.
 const BUTTON_STOPS: Duration = Duration::from_millis(100);
 /// Firmware that panics or faults sends its last stops at once. On RS485 it leaves each of eight motors 5 ms to answer.
 const LAST_STOPS: Duration = Duration::from_millis(150);

@@ -23,7 +23,7 @@ pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const WATCH: Duration = Duration::from_millis(1_200);
 /// How long silent motors need, once they are reachable again, until the firmware has sent them a command to hold. From
 /// then on it ignores the button for one second. On RS485 four silent motors get another stop only every 400 ms, and
-/// each then answers two queries of a round of 40 ms.
+/// each then answers two queries of a round of 80 ms.
 pub(crate) const RECOVERY: Duration = Duration::from_millis(700);
 /// From this speed on a movement is well under way, degrees per second. The highest speed of the movement is 30.
 pub(crate) const UNDER_WAY_DPS: f32 = 15.0;

@@ -22,8 +22,8 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 /// How long a shaft may still move after its drive has confirmed a stop.
 const COMES_TO_REST: Duration = Duration::from_millis(20);
 /// The cycle of the emulated boards. If so many cycles of a second are missing, the emulator stood still.
-const CYCLE: Duration = Duration::from_millis(10);
-const CYCLES: u32 = 100;
+const CYCLE: Duration = Duration::from_millis(20);
+const CYCLES: u32 = 50;
 const STOOD_STILL: u32 = 2;
 /// The number of lines of the log that a failure shows.
 const TAIL: usize = 40;

@@ -20,9 +20,9 @@ pub const fn patient(config: Config) -> Config {
     }
 }
 
-/// The cycle. Emulating a byte on a wire takes so long that four motors with 200 set-points a second already occupy the
-/// emulator: then it falls behind real time.
-pub const CYCLE: Duration = Duration::from_millis(10);
+/// The cycle. Emulating a byte on a wire takes so long that four motors with 100 set-points a second on CAN occupy the
+/// emulator. Then it falls behind real time, and their replies are late.
+pub const CYCLE: Duration = Duration::from_millis(20);
 
 /// Raises a fault.
 pub fn fault() -> ! {
