@@ -37,10 +37,6 @@ const RUNS_NOTHING: &str =
 const ON_AGAIN: &str =
     "was switched off and on again by something else on this bus: its state is not known";
 
-/// The state of a motor that another program commands.
-const COMMANDED: &str = "has confirmed the stop, but something else on this bus goes on commanding it: end that, or cut \
-                         the power";
-
 /// The states of motors that were told to hold.
 #[derive(Default)]
 struct Looks {
@@ -50,6 +46,14 @@ struct Looks {
     idle: MotorSet,
     /// Motors without an error whose brakes were last told to lock.
     locked: MotorSet,
+}
+
+/// The state of motors of which another program commands some.
+fn commanded(motors: MotorSet, some: &str) -> String {
+    let have = if motors.len() == 1 { "has" } else { "have" };
+    format!(
+        "{have} confirmed the stop, but something else on this bus goes on commanding {some}: end that, or cut the power"
+    )
 }
 
 /// The motors in this list.
@@ -196,15 +200,8 @@ impl Session {
         if moved.is_empty() {
             return Ok(());
         }
-        let confirmed = match motors.len() {
-            1 => "has confirmed the stop",
-            _ => "have confirmed the stop",
-        };
-        Err(Unfinished::Failed(format!(
-            "{} {confirmed}, but something else on this bus goes on commanding {}: end that, or cut the power",
-            named(motors),
-            named(moved)
-        )))
+        let state = commanded(motors, &named(moved));
+        Err(Unfinished::Failed(format!("{} {state}", named(motors))))
     }
 
     /// Listens for replies to something else that moves these motors, and returns the motors it moves. Asks the motors
@@ -240,9 +237,9 @@ impl Session {
         // By now they have heard this program for a while. A motor that had lost its master confirms its first commands
         // without running them, and runs them now.
         let Looks { mut failing, idle, .. } = self.look_at_held(on);
-        let commanded = self.moved_on(motors);
-        let told = |motor| (motor, COMMANDED.to_owned());
-        failing.extend(commanded.iter().map(told));
+        let moved = self.moved_on(motors);
+        let told = |motor: MotorId| (motor, commanded(motor.into(), "it"));
+        failing.extend(moved.iter().map(told));
         if !idle.is_empty() {
             self.confirm_stop(StopKind::Hold, idle)?;
         }
@@ -255,7 +252,7 @@ impl Session {
         failing.extend(free.iter().map(|motor| (motor, RUNS_NOTHING.to_owned())));
         failing.extend(was_off.without(off).iter().map(|motor| (motor, ON_AGAIN.to_owned())));
         // A program that sends seldom may be heard only now.
-        failing.extend(self.moved_on(motors).without(commanded).iter().map(told));
+        failing.extend(self.moved_on(motors).without(moved).iter().map(told));
         let off = off.without(of(&failing));
         let locked = idle.without(free).without(off);
         let holding = motors.without(off).without(locked).without(of(&failing));
