@@ -99,7 +99,7 @@ impl Config {
     pub const CAN: Self = Self::can(1_000_000);
 
     /// For CAN at `bit_rate`: replies within 3 ms and the time of 128 frames, which is two cycles of 32 motors; three
-    /// attempts.
+    /// attempts. With fewer motors a shorter `reply_timeout` is enough: four frames for each.
     pub const fn can(bit_rate: u32) -> Self {
         let rate = if bit_rate == 0 { 1_000_000 } else { bit_rate };
         let frame_micros = (LONGEST_CAN_FRAME_BITS * 1_000_000 / rate) as u64 + 1;

@@ -1,11 +1,13 @@
 //! Motors that let go, or do not answer everything, while all are stopped.
 
+use myactuator_host_std::sim::Fleet;
 use myactuator_mcu_example::{Report, StateName, Trouble, cycle};
 use myactuator_protocol_core::Data;
 use myactuator_protocol_core::command::ErrorFlags;
-use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet};
+use myactuator_protocol_core::io::{CanMaster, Runner};
+use myactuator_protocol_core::master::{Config, Event, Failure, Master, MotorSet};
 use myactuator_protocol_core::time::Instant;
+use myactuator_tests::fleet::lost_their_master;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
@@ -312,5 +314,34 @@ fn a_press_in_the_same_moment_leaves_a_motor_holding<B: Moved>() {
         let fallen = fallen_deg(&bus, &before_deg);
         // As if there was no press. 9 degrees without friction in 110 ms.
         assert!(!is_off(drive) && fallen[0] < 9.0, "{phase_ms} ms: {fallen:?}");
+    }
+}
+
+/// As many as the second number lose power while all hold. Each is asked three times before the next motor.
+#[test]
+fn motors_without_power_keep_others_from_hearing_only_with_the_time_outs_of_a_longer_bus() {
+    let for_eight = |bit_rate| {
+        let config = Config::can(bit_rate);
+        Config { reply_timeout: millis(3) + config.frame_time.times(32), ..config }
+    };
+    let cases = [
+        (1_000_000, 7, Config::can(1_000_000), false),
+        (500_000, 5, Config::can(500_000), true),
+        (500_000, 7, for_eight(500_000), false),
+        (250_000, 7, for_eight(250_000), false),
+    ];
+    for (bit_rate, without_power, config, have_lost) in cases {
+        let bus = Fleet::new(8).brakes(true).on_can(bit_rate).unwrap();
+        let runner = CanMaster::new(bus.world.port(), bus.world.clock(), config);
+        let mut firmware = Firmware::running_on(&bus, runner);
+        firmware.press(millis(50));
+        firmware.run_for(millis(1_500));
+        let (others, cut) = bus.drives.split_at(8 - without_power);
+        lost_their_master(others);
+        let now = firmware.runner.now();
+        cut.iter().for_each(|drive| drive.with(|drive| drive.power_off(now)));
+        firmware.run_for(millis(3_000));
+        let lost = lost_their_master(others);
+        assert_eq!(!lost.is_empty(), have_lost, "{bit_rate} bit/s, {without_power}: {lost:?}");
     }
 }
