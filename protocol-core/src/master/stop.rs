@@ -7,7 +7,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::Motor;
-use crate::master::motor::stopping::Told;
+use crate::master::motor::stopping::StopSent;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -143,7 +143,8 @@ impl<const N: usize> Master<N> {
     /// Whether any motor was sent something since its last stop that a stop would refuse.
     #[inline(never)]
     fn was_any_moved(&self) -> bool {
-        let stands = |motor: &Motor| motor.told != Told::Nothing || motor.waits_for_first_stop();
+        let stands =
+            |motor: &Motor| motor.stop_sent != StopSent::None || motor.waits_for_first_stop();
         !self.at(self.places.taken).all(|(_, motor)| stands(motor))
     }
 

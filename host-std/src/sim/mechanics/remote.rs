@@ -23,11 +23,11 @@ pub struct Remote<S> {
 #[derive(Serialize)]
 struct Asked {
     period_us: u64,
-    shafts: Vec<Told>,
+    shafts: Vec<ShaftReport>,
 }
 
 #[derive(Serialize)]
-struct Told {
+struct ShaftReport {
     motor: u8,
     torque_nm: f64,
     friction_nm: f64,
@@ -73,7 +73,7 @@ impl<S: Read + Write> Remote<S> {
 
 impl<S: Read + Write + Send> Mechanics for Remote<S> {
     fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
-        let told = |shaft: &Shaft| Told {
+        let report = |shaft: &Shaft| ShaftReport {
             motor: shaft.motor.get(),
             torque_nm: shaft.acting.torque_nm,
             friction_nm: shaft.acting.friction_nm,
@@ -81,7 +81,7 @@ impl<S: Read + Write + Send> Mechanics for Remote<S> {
             speed_dps: shaft.speed_dps,
         };
         let asked =
-            Asked { period_us: period.as_micros(), shafts: shafts.iter().map(told).collect() };
+            Asked { period_us: period.as_micros(), shafts: shafts.iter().map(report).collect() };
         let answer = self
             .exchange(&asked)
             .map_err(|error| format!("the process that moves the shafts: {error}"))?;

@@ -27,7 +27,7 @@ use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use restarts::{Position, RESTART_TAKES};
-use stopping::{LastStop, Told};
+use stopping::{LastStop, StopSent};
 
 bitflags! {
     /// What to report of a motor, apart from the outcome of its request.
@@ -92,7 +92,7 @@ pub(super) struct Motor {
     pub(super) last_sent: LastSent,
     /// Its newest set-point was dropped before it was sent, whatever is in flight.
     pub(super) is_newest_dropped: bool,
-    pub(super) told: Told,
+    pub(super) stop_sent: StopSent,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -143,7 +143,7 @@ impl Motor {
     /// Whether it was not yet told to stop, and may be moving.
     pub(super) fn waits_for_first_stop(&self) -> bool {
         let is_first = |asked: &Asked| asked.purpose == Purpose::Stop && asked.was_never_sent();
-        self.told == Told::Nothing && self.request.waiting().is_some_and(is_first)
+        self.stop_sent == StopSent::None && self.request.waiting().is_some_and(is_first)
     }
 
     #[inline(never)]
@@ -319,8 +319,8 @@ impl Motor {
         let late = now + asked.timeout + config.late_window;
         self.was_sent(LastSent::empty(), now);
         self.note_sent(asked.kind(), &asked.data, config, now);
-        if asked.is_stop() && self.told == Told::Nothing {
-            self.told = Told::ByThis;
+        if asked.is_stop() && self.stop_sent == StopSent::None {
+            self.stop_sent = StopSent::UnderWay;
         }
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -345,7 +345,7 @@ impl Motor {
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
         self.stream.was_sent();
-        self.told = Told::Nothing;
+        self.stop_sent = StopSent::None;
     }
 
     /// When what is in flight has had its time. A caller's own time-out does not make this longer than that of a stop.
@@ -439,7 +439,7 @@ impl Motor {
     /// unasked, and how it was stopped last.
     pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
         if kind.is_refused_while_stopped() {
-            self.told = Told::Nothing;
+            self.stop_sent = StopSent::None;
         }
         match kind.opcode() {
             Some(Opcode::Reset) => self.begin_anew(config, now),

@@ -4,7 +4,7 @@ use crate::data::Data;
 use crate::kind::Kind;
 use crate::master::event::Failure;
 use crate::master::late::Of;
-use crate::master::motor::stopping::Told;
+use crate::master::motor::stopping::StopSent;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Request};
 use crate::opcode::Opcode;
@@ -46,8 +46,8 @@ impl Motor {
         }
         asked.attempts_left = asked.attempts_left.saturating_add(1);
         asked.unanswered = asked.unanswered.saturating_sub(1);
-        if self.told == Told::ByThis && asked.was_never_sent() {
-            self.told = Told::Nothing;
+        if self.stop_sent == StopSent::UnderWay && asked.was_never_sent() {
+            self.stop_sent = StopSent::None;
         }
         self.last_sent.insert(LastSent::REQUESTS_TURN);
         if asked.is_stop() || self.is_silent() {
@@ -82,7 +82,7 @@ impl Motor {
         let command = Opcode::from_byte(packet.data[0]).filter(|_| !packet.is_motion());
         if command.is_some_and(|it| Kind::Known(it).ends_motion()) {
             // It may be the command that told the motor to stop.
-            self.told = Told::Nothing;
+            self.stop_sent = StopSent::None;
         }
         match self.take_late(packet, false) {
             Some(Of::Request | Of::Stream) => self.health.uncount_miss(),

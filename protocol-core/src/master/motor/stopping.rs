@@ -31,14 +31,14 @@ use crate::time::Instant;
 
 /// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Told {
+pub(crate) enum StopSent {
     /// No stop was sent, or something was since that may have moved it.
     #[default]
-    Nothing,
+    None,
     /// The stop under way was sent. If a controller hands it back, it was not.
-    ByThis,
+    UnderWay,
     /// An earlier one was sent.
-    Before,
+    Earlier,
 }
 
 /// What became of a motor's last stop.
@@ -97,7 +97,7 @@ impl Motor {
             return;
         }
         let last = core::mem::take(&mut self.last_stop);
-        if self.told != Told::Nothing && last.is_like(&stop) {
+        if self.stop_sent != StopSent::None && last.is_like(&stop) {
             if stop.purpose == Purpose::Stop {
                 stop.purpose = Purpose::StopCalledAgain;
             }
@@ -111,8 +111,8 @@ impl Motor {
 
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(crate) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
-        if self.told == Told::ByThis {
-            self.told = Told::Before;
+        if self.stop_sent == StopSent::UnderWay {
+            self.stop_sent = StopSent::Earlier;
         }
         self.drop_waiting_set_point();
         if stop.purpose != Purpose::StopAgain {
