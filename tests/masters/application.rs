@@ -1,6 +1,7 @@
 //! The application of the example firmware with simulated drives, on both buses.
 
 mod brakes;
+mod errors;
 mod gone;
 mod heard;
 mod panel;

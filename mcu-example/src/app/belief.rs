@@ -84,6 +84,10 @@ impl Belief {
             (Held | Turned { .. }, Seen::LetGo | Seen::Missed) | (Held, Seen::Failed) => {
                 Watched { missed: false }
             }
+            // While it had the error, it could not hold it.
+            (Turned { .. }, Seen::Sound) if matches!(self.contact, Failed) => {
+                Watched { missed: false }
+            }
             (_, Seen::MayTurn) => Unchecked { missed: false },
             (Unchecked { .. } | Watched { .. }, Seen::Stands) => Watched { missed: false },
             (Unchecked { missed }, Seen::Turns) => Turned { missed },
