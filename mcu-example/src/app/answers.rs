@@ -48,7 +48,7 @@ impl<const N: usize> App<N> {
                 let seen = if answer == Answer::Sound { Seen::Sound } else { Seen::Answered };
                 let [before, after] = self.beliefs.see(motor, seen);
                 if after.obeys() && !before.obeys() {
-                    self.hold_again(motor, before.has_let_go(), at);
+                    self.hold_again(motor, before, at);
                 }
             }
         }

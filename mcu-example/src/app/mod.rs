@@ -153,14 +153,15 @@ impl<const N: usize> App<N> {
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
-            (&State::Stopped { kind, .. }, Press::Short) => {
+            (State::Stopped { .. }, Press::Short) => {
+                // Its errors are read and reported once more.
+                self.locks.forget_errors();
                 let failed = self.beliefs.those(Belief::has_failed);
-                if !failed.is_empty() {
-                    // Where the error is over, a load would fall until all are found.
-                    let _ = at.master.stop_all(kind, failed);
+                if self.attended().iter().any(|motor| failed.contains(motor)) {
+                    // Whoever saw its load fall pressed to stop it.
+                    return;
                 }
                 self.motors.clear();
-                self.locks.forget_errors();
                 let all = self.known();
                 self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
             }

@@ -159,11 +159,11 @@ impl<const N: usize> App<N> {
     }
 
     /// If all are stopped, stops a motor once more that may have let go. A motor that has lost its master or restarted
-    /// holds nothing until then, although it may have confirmed a stop.
+    /// holds nothing until then, although it may have confirmed a stop. Nor does one that had an error.
     pub(super) fn hold_again(
         &mut self,
         motor: MotorId,
-        was_gone: bool,
+        before: Belief,
         at: &mut Moment<'_, N, impl Board>,
     ) {
         if let State::Stopped { kind, unconfirmed, .. } = &mut self.state {
@@ -172,8 +172,10 @@ impl<const N: usize> App<N> {
             let _ = at.master.stop_all(*kind, *unconfirmed);
         }
         // A motor that never answers one of the questions comes here again and again, and has not let go.
-        if was_gone {
+        if before.has_let_go() || before.has_failed() {
             self.button.caught(motor, at.now);
+        }
+        if before.has_let_go() {
             self.trouble(Trouble::Restarted { motor }, at);
         }
     }

@@ -1,6 +1,6 @@
 //! Motors with errors that come and go.
 
-use myactuator_mcu_example::Trouble;
+use myactuator_mcu_example::{Report, StateName, Trouble};
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::millis;
@@ -10,6 +10,7 @@ use super::brakes::{before_shutdown, is_off, lets_go, loaded, slips, stays_held}
 
 on_both_buses! {
     a_motor_that_turned_with_an_error_is_held_when_that_is_over
+    a_press_after_a_motor_had_an_error_starts_nothing
 }
 
 const FLAGS: ErrorFlags = ErrorFlags::UNDER_VOLTAGE;
@@ -39,5 +40,27 @@ fn a_motor_that_turned_with_an_error_is_held_when_that_is_over<B: Moved>() {
         assert_eq!(firmware.troubles(), [turns], "held before: {is_held_before}");
         assert!(!is_off(drive), "held before: {is_held_before}");
         stays_held(&mut firmware, &bus);
+    }
+}
+
+/// A load without a brake falls until the error is over. A person who sees that presses to stop it.
+fn a_press_after_a_motor_had_an_error_starts_nothing<B: Moved>() {
+    for (after_ms, pressed_ms) in [(0, 30), (0, 50), (20, 50), (300, 50), (900, 50), (300, 1_200)] {
+        let bus = loaded::<B>(3, false);
+        let (mut firmware, _) = before_shutdown(&bus);
+        let last = &bus.drives[2];
+        last.with(|drive| drive.raise_fault(FLAGS));
+        firmware.run_for(millis(100));
+        last.with(|drive| drive.clear_fault(FLAGS));
+        firmware.run_for(millis(after_ms));
+        firmware.press(millis(pressed_ms));
+        firmware.stays_stopped();
+        let told = &firmware.panel.reports;
+        let is_acted_on = [StateName::Finding, StateName::ShuttingDown]
+            .into_iter()
+            .any(|state| told.contains(&Report::State(state)));
+        assert!(!is_acted_on && !is_off(last), "{after_ms} {pressed_ms} ms: {told:?}");
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Running), millis(3_000));
     }
 }

@@ -170,8 +170,9 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
     let mut firmware = Firmware::running(&bus);
     firmware.press(millis(50));
     firmware.run_for(millis(1_000));
-    bus.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Finding), millis(100));
+    bus.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
     firmware.run_until(Report::State(StateName::Stopped), millis(1_000));
     // Even within a second after a stop by something else.
     firmware.press(millis(1_100));
