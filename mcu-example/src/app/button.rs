@@ -73,8 +73,8 @@ impl Button {
         self.long_from = now + MEANT_TO_STOP;
     }
 
-    /// A motor that had let go, or had an error, is told to hold again: its shaft may have turned. If that happens to it
-    /// again and again, it does not take the button away for ever.
+    /// A motor that had let go, or had an error, is told to hold again: its shaft may have turned. If that happens
+    /// to it again and again, it does not take the button away for ever.
     pub(super) fn caught(&mut self, motor: MotorId, now: Instant) {
         if now - self.caught_at >= AGAIN {
             self.caught = MotorSet::EMPTY;
