@@ -88,13 +88,15 @@ fn one_drive_with_an_error_stops_all_until_it_is_cleared(firmware: &mut Firmware
     firmware.check_stays_stopped(WATCH);
     firmware.check_still(raised, ERROR_STOPS);
 
+    // The motors are stopped already, and a press starts nothing meanwhile.
     firmware.press();
-    wait_for_trouble(firmware, "Errors { motor: motor 4,");
-    firmware.wait_for("State(Stopped)", TIMEOUT);
+    firmware.wait_for("Trouble(Errors { motor: motor 4,", TIMEOUT);
     firmware.check_stays_stopped(WATCH);
     firmware.check_still(raised, ERROR_STOPS);
 
+    // From then on it is told to hold again, as after a silence.
     firmware.drive(4).with(|drive| drive.clear_fault(flags));
+    firmware.check_stays_stopped(RECOVERY + WATCH);
     start_moving(firmware);
 }
 
