@@ -159,3 +159,16 @@ impl Beliefs {
         MotorId::all().filter(|motor| is(&self.0[motor.index()])).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motor_that_missed_a_question_and_reports_an_error_has_failed() {
+        let mut beliefs = Beliefs::new();
+        beliefs.see(MotorId::MIN, Seen::Missed);
+        let [before, after] = beliefs.see(MotorId::MIN, Seen::Failed);
+        assert!(!before.has_failed() && after.has_failed());
+    }
+}

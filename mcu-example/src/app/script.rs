@@ -242,11 +242,6 @@ impl Script {
         }
     }
 
-    /// The motor whose brake is being opened.
-    pub(super) fn opens(&self) -> Option<MotorId> {
-        if self.part == Part::Release { self.left.iter().next() } else { None }
-    }
-
     /// Asks the next question if none is in flight.
     pub(super) fn go_on<const N: usize>(
         &mut self,

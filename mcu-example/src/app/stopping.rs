@@ -188,9 +188,7 @@ impl<const N: usize> App<N> {
                 waiting.with(*unconfirmed)
             }
             // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting.
-            State::Finding(script) | State::Preparing(script) => {
-                script.opens().into_iter().collect()
-            }
+            State::Finding(_) | State::Preparing(_) => MotorSet::EMPTY,
             // Their shafts are checked, or nothing holds them, or they move.
             _ => return MotorSet::EMPTY,
         };
@@ -199,18 +197,17 @@ impl<const N: usize> App<N> {
     }
 
     /// A motor that is watched turns. What makes one brake slip may make others slip, so all that are watched are
-    /// checked: at once if the motors were about to start, otherwise in the next cycle. A motor whose brake is being
-    /// opened is stopped before, so that it holds.
+    /// checked: at once while motors are looked for, otherwise in the next cycle. Motors that are being prepared are
+    /// stopped before, so that those whose brakes open hold.
     pub(super) fn slips(&mut self, at: &mut Moment<'_, N, impl Board>) {
         self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
-        let (State::Finding(script) | State::Preparing(script)) = &self.state else { return };
-        if script.opens().is_some() {
-            self.button.fell(at.now);
-            self.locks.move_now(self.expected, at.now);
-            self.stop(self.setup.stop, at);
-        } else if self.look(self.setup.stop, MotorSet::EMPTY, at) {
-            self.button.fell(at.now);
+        match self.state {
+            // A stop would wait for ids without a motor.
+            State::Finding(_) => _ = self.look(self.setup.stop, MotorSet::EMPTY, at),
+            State::Preparing(_) => self.stop(self.setup.stop, at),
+            _ => return,
         }
+        self.button.fell(at.now);
     }
 
     /// Asks the next of the watched motors. Both rounds may want the same one: the one that has waited for longer is

@@ -36,6 +36,11 @@ on_both_buses! {
     a_load_that_sinks_before_it_ran_is_no_slip
     a_load_that_sinks_after_a_start_that_was_broken_off_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
+    a_shaft_that_is_turned_by_hand_before_a_shutdown_is_over_stays_free
+}
+
+fn is_open(drive: &DriveHandle) -> bool {
+    state(drive).brake == BrakeCommand::RELEASE
 }
 
 /// The board restarted during a shutdown.
@@ -212,26 +217,35 @@ fn a_slip_while_motors_are_looked_for_is_seen<B: Moved>() {
     }
 }
 
-/// A shaft turns at 5 dps, once. The start has ended, and whoever presses then may have meant to end it.
+/// A shaft turns at 5 dps, once, while motors are looked for or while brakes open. The start has ended, and whoever
+/// presses then may have meant to end it.
 fn a_press_after_a_slip_that_ended_a_start_starts_nothing<B: Moved>() {
-    let bus = loaded::<B>(3, true);
-    let mut firmware = Firmware::start(&bus, Panel::default());
-    firmware.run_for(millis(1_500));
-    firmware.press(millis(50));
-    firmware.run_until(Report::State(StateName::Finding), millis(100));
-    let is_first = Cell::new(true);
-    run_altered(&mut firmware, 150, |mut data| {
-        if data[0] == 0x9C && is_first.replace(false) {
-            data[4] = 5;
+    for is_opening in [false, true] {
+        let bus = loaded::<B>(3, true);
+        let setup = Setup { cycle: millis(10), ..B::setup() };
+        let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+        firmware.run_for(millis(1_500));
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Finding), millis(100));
+        while is_opening && !is_open(&bus.drives[0]) {
+            firmware.run_for(millis(1));
         }
-        Some(data)
-    });
-    firmware.run_until(Report::State(StateName::Stopped), millis(500));
-    assert_eq!(firmware.troubles(), [], "it has turned for a moment");
-    firmware.forget();
-    firmware.press(millis(50));
-    firmware.stays_stopped();
-    assert_eq!(firmware.panel.reports, []);
+        let is_first = Cell::new(true);
+        while is_first.get() {
+            run_altered(&mut firmware, 10, |mut data| {
+                if data[0] == 0x9C && is_first.replace(false) {
+                    data[4] = 5;
+                }
+                Some(data)
+            });
+        }
+        firmware.run_until(Report::State(StateName::Stopped), millis(1_000));
+        assert_eq!(firmware.troubles(), [], "it has turned for a moment");
+        firmware.forget();
+        firmware.press(millis(50));
+        firmware.stays_stopped();
+        assert_eq!(firmware.panel.reports, [], "opening: {is_opening}");
+    }
 }
 
 /// A motor accepts its protection only at the third attempt, 100 ms after the first. No brake was told to open yet.
@@ -262,7 +276,6 @@ fn a_slip_while_brakes_open_one_after_the_other_is_seen<B: Moved>() {
     let setup = Setup { cycle: millis(10), ..B::setup() };
     let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
     firmware.run_until_preparing();
-    let is_open = |drive: &DriveHandle| state(drive).brake == BrakeCommand::RELEASE;
     while !is_open(&bus.drives[0]) {
         firmware.run_for(millis(1));
     }
@@ -427,4 +440,19 @@ fn a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free<B: Moved>() {
     firmware.run_for(millis(1_000));
     assert_eq!(firmware.troubles(), []);
     assert!(bus.drives.iter().all(is_off));
+}
+
+/// The other one does not confirm that it is switched off, which is waited for.
+fn a_shaft_that_is_turned_by_hand_before_a_shutdown_is_over_stays_free<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_until(Report::State(StateName::Stopping), millis(1_000));
+    unplug(&bus, &bus.drives[0]);
+    slips(&bus.drives[1]);
+    let unconfirmed = id(1).into();
+    firmware.run_until(Report::Stopped { unconfirmed }, millis(1_000));
+    firmware.run_for(millis(1_000));
+    assert_eq!(firmware.troubles(), []);
+    assert!(is_off(&bus.drives[1]));
 }
