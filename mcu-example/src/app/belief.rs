@@ -69,7 +69,7 @@ impl Belief {
         use Contact::{Doubted, Failed, LetGo, Obeys};
         use Shaft::{Held, Turned, Unchecked, Watched};
         let contact = match (self.contact, seen) {
-            (_, Seen::LetGo) | (Doubted(0) | LetGo(_), Seen::Missed) => LetGo(0),
+            (_, Seen::LetGo) | (Doubted(0) | LetGo(_) | Failed, Seen::Missed) => LetGo(0),
             (_, Seen::Missed) => Doubted(0),
             (Obeys | Doubted(_), Seen::Failed) | (Failed, Seen::Answered) => Failed,
             (Doubted(0), Seen::Answered | Seen::Sound) => Doubted(1),
@@ -84,8 +84,8 @@ impl Belief {
             (Held | Turned { .. }, Seen::LetGo | Seen::Missed) | (Held, Seen::Failed) => {
                 Watched { missed: false }
             }
-            // While it had the error, it could not hold it.
-            (Turned { .. }, Seen::Sound) if matches!(self.contact, Failed) => {
+            // It could not be told to hold it before.
+            (Turned { .. }, _) if !matches!(self.contact, Obeys) && matches!(contact, Obeys) => {
                 Watched { missed: false }
             }
             (_, Seen::MayTurn) => Unchecked { missed: false },
@@ -170,5 +170,23 @@ mod tests {
         beliefs.see(MotorId::MIN, Seen::Missed);
         let [before, after] = beliefs.see(MotorId::MIN, Seen::Failed);
         assert!(!before.has_failed() && after.has_failed());
+    }
+
+    #[test]
+    fn a_motor_with_an_error_that_misses_a_question_has_let_go() {
+        let mut beliefs = Beliefs::new();
+        beliefs.see(MotorId::MIN, Seen::Failed);
+        let [_, after] = beliefs.see(MotorId::MIN, Seen::Missed);
+        assert!(after.has_let_go());
+    }
+
+    #[test]
+    fn a_motor_that_turned_before_it_obeyed_is_watched_once_it_does() {
+        let mut beliefs = Beliefs::new();
+        for seen in [Seen::LetGo, Seen::MayTurn, Seen::Turns, Seen::Failed, Seen::Sound] {
+            beliefs.see(MotorId::MIN, seen);
+        }
+        let [_, after] = beliefs.see(MotorId::MIN, Seen::Answered);
+        assert!(after.obeys() && after.is_watched());
     }
 }

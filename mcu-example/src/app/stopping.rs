@@ -182,18 +182,23 @@ impl<const N: usize> App<N> {
 
     /// The motors that are asked in every round whether their shafts stand: their brakes have to hold instead of them.
     pub(super) fn watched(&self, now: Instant) -> MotorSet {
-        let not_asked = match &self.state {
-            State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => *unconfirmed,
-            State::Stopping { kind: StopKind::Hold, waiting, unconfirmed, .. } => {
-                waiting.with(*unconfirmed)
+        let asked = match &self.state {
+            State::Stopped { kind: StopKind::Hold, unconfirmed, .. } => {
+                self.beliefs.those(Belief::is_watched).without(*unconfirmed)
             }
-            // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting.
-            State::Finding(_) | State::Preparing(_) => MotorSet::EMPTY,
+            State::Stopping { kind: StopKind::Hold, waiting, unconfirmed, .. } => {
+                self.beliefs.those(Belief::is_watched).without(waiting.with(*unconfirmed))
+            }
+            // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting. The button
+            // may have been pressed before all were checked.
+            State::Finding(_) | State::Preparing(_) => {
+                self.beliefs.those(|it| it.is_watched() || it.is_unchecked())
+            }
             // Their shafts are checked, or nothing holds them, or they move.
             _ => return MotorSet::EMPTY,
         };
-        let there = self.beliefs.those(|it| it.is_watched() && !it.has_let_go());
-        self.locks.among(there.without(not_asked), now)
+        let gone = self.beliefs.those(Belief::has_let_go);
+        self.locks.among(asked.without(gone), now)
     }
 
     /// A motor that is watched turns. What makes one brake slip may make others slip, so all that are watched are

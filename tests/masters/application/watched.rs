@@ -30,6 +30,8 @@ on_both_buses! {
     a_slip_while_brakes_open_one_after_the_other_is_seen
     a_slip_while_others_do_not_confirm_their_stop_is_seen
     a_slip_of_a_motor_that_confirmed_late_is_seen_during_the_next_start
+    a_slip_in_the_moment_of_a_press_is_seen
+    a_slip_of_a_motor_that_is_back_soon_is_seen_during_the_next_start
     a_brake_that_an_error_has_locked_is_watched
     a_press_after_a_shaft_has_turned_starts_nothing
     a_load_that_sinks_until_its_brake_has_locked_is_no_slip
@@ -329,6 +331,46 @@ fn a_slip_of_a_motor_that_confirmed_late_is_seen_during_the_next_start<B: Moved>
         slips(&bus.drives[1]);
         bus.world.mend(bus.drives[1].station());
         firmware.run_for(millis(1_000));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{phase_ms} ms: {told:?}");
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{phase_ms} ms: {fallen:?}");
+    }
+}
+
+/// It is seen in the cycle before the press counts, or about then.
+fn a_slip_in_the_moment_of_a_press_is_seen<B: Moved>() {
+    for phase_ms in 0..40 {
+        let bus = loaded::<B>(2, true);
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        firmware.run_for(millis(1_500 + phase_ms));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        firmware.press(millis(50));
+        slips(&bus.drives[1]);
+        firmware.run_for(millis(1_500));
+        let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
+        assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{phase_ms} ms: {fallen:?} {:?}", firmware.panel.reports);
+        assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{phase_ms} ms: {fallen:?}");
+    }
+}
+
+/// It did not confirm the stop that broke a shutdown off, so its shaft was not checked.
+fn a_slip_of_a_motor_that_is_back_soon_is_seen_during_the_next_start<B: Moved>() {
+    for phase_ms in (0..60).step_by(5) {
+        let bus = loaded::<B>(2, true);
+        let (mut firmware, _) = before_shutdown(&bus);
+        shut_down(&mut firmware);
+        firmware.run_for(millis(25));
+        unplug(&bus, &bus.drives[1]);
+        firmware.press(millis(30));
+        firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(500));
+        firmware.run_for(millis(phase_ms));
+        firmware.forget();
+        firmware.press(millis(30));
+        firmware.run_until(Report::State(StateName::Finding), millis(100));
+        let before_deg: Vec<_> = bus.drives.iter().map(angle_deg).collect();
+        slips(&bus.drives[1]);
+        bus.world.mend(bus.drives[1].station());
+        firmware.run_for(millis(1_500));
         let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
         assert!(told.contains(&Trouble::Turns { motor: id(2) }), "{phase_ms} ms: {told:?}");
         assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{phase_ms} ms: {fallen:?}");
