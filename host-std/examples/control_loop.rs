@@ -3,18 +3,22 @@
 //!
 //! `cargo run -p myactuator-host-std --example control_loop`
 
+use std::array;
 use std::error::Error;
 use std::f32::consts::TAU;
+use std::fmt::Debug;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
-    AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadVersionDate,
+    AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadMultiTurnAngle,
+    ReadVersionDate,
 };
 use myactuator_protocol_core::io::{Guard, LoopError, Runner, Watch};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::quantity::MotionScale;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -47,6 +51,36 @@ fn run<R: Runner<8>>(
     }
 }
 
+/// The scale of all motors, and where their shafts are, in radians: in motion mode a motor turns to its set-point at
+/// once, over any number of turns.
+fn ready<R: Runner<8>>(bus: &mut R) -> Result<(MotionRanges, [f32; 8]), Box<dyn Error>>
+where
+    R::Error: Debug + 'static,
+{
+    let arm: [MotorId; 8] = array::from_fn(|index| MotorId::new(index as u8 + 1).expect("1 to 8"));
+    let mut scales = Vec::new();
+    for answer in bus.ask_together(arm.map(|motor| (motor, ReadVersionDate))) {
+        let firmware = Firmware::of_version_date(answer?.version_date);
+        let firmware = firmware.ok_or("which firmware is this?")?;
+        scales.push(firmware.motion_ranges().ok_or("its scales depend on the motor")?);
+    }
+    let scale = scales[0];
+    if scales.iter().any(|&other| other != scale) {
+        return Err("the motors differ in their scales".into());
+    }
+    let (min, max) = scale.ends(MotionScale::Position);
+    let mut home_rad = [0.0; 8];
+    let angles = bus.ask_together(arm.map(|motor| (motor, ReadMultiTurnAngle)));
+    for ((motor, answer), home_rad) in arm.into_iter().zip(angles).zip(&mut home_rad) {
+        let angle = answer?.angle;
+        *home_rad = angle.degrees().to_radians();
+        if !(min..=max).contains(home_rad) {
+            return Err(format!("motor {motor} is at {angle}, beyond its scale").into());
+        }
+    }
+    Ok((scale, home_rad))
+}
+
 /// Set by Ctrl-C, a hang-up or a request to end, which would end the program without a stop otherwise.
 fn interruption() -> io::Result<Arc<AtomicBool>> {
     let is_interrupted = Arc::new(AtomicBool::new(false));
@@ -56,9 +90,10 @@ fn interruption() -> io::Result<Arc<AtomicBool>> {
     Ok(is_interrupted)
 }
 
-/// All swing for two seconds, or until somebody ends that; motor 1 says where it is.
+/// All swing about where they are for two seconds, or until somebody ends that; motor 1 says where it is.
 fn swing(
     scale: &MotionRanges,
+    home_rad: [f32; 8],
     is_interrupted: &AtomicBool,
 ) -> impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion> {
     let mut tick = 0;
@@ -71,7 +106,7 @@ fn swing(
         }
         let phase = TAU * tick as f32 / 500.0;
         let wanted = MotionSetPoint {
-            position_rad: 0.5 * phase.sin(),
+            position_rad: home_rad[motor.index()] + 0.5 * phase.sin(),
             velocity_rad_s: 0.5 * TAU * phase.cos(),
             kp: 40.0,
             kd: 2.0,
@@ -88,11 +123,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let fleet = Fleet::new(8).on_can(1_000_000)?;
     let mut bus = fleet.master::<8>();
 
-    let date = bus.ask(MotorId::MIN, ReadVersionDate)?.version_date;
-    let firmware = Firmware::of_version_date(date).ok_or("which firmware is this?")?;
-    let scale = firmware.motion_ranges().ok_or("its scales depend on the motor")?;
-
-    let left = run(&mut bus, &scale, swing(&scale, &is_interrupted));
+    let (scale, home_rad) = ready(&mut bus)?;
+    let left = run(&mut bus, &scale, swing(&scale, home_rad, &is_interrupted));
     let running = bus.stop_all(StopKind::Hold, MotorSet::EMPTY);
     if !running.is_empty() {
         eprintln!("the loop has ended: {left:?}");
@@ -103,6 +135,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::sim::CanFleet;
     use myactuator_protocol_core::time::Instant;
 
     use super::*;
@@ -132,6 +165,35 @@ mod tests {
         });
         assert!(bus.set_point(MotorId::MIN, scale.quantise(&rest).unwrap()).is_err(), "stopped");
         (left.map_err(|error| error.to_string()), begun)
+    }
+
+    /// A fleet of this firmware whose motor 3 is turned, by degrees.
+    fn turned(firmware: Firmware, degrees: f64) -> CanFleet {
+        let fleet = Fleet::new(8).firmware(firmware).on_can(1_000_000).unwrap();
+        fleet.drives[2].with(|drive| drive.plant_mut().set_output_angle_deg(degrees)).unwrap();
+        fleet
+    }
+
+    #[test]
+    fn loop_begins_where_the_shafts_are() {
+        let fleet = turned(Firmware::V4_3, 200.0);
+        let mut bus = fleet.master::<8>();
+        let (scale, home_rad) = ready(&mut bus).unwrap();
+        let is_interrupted = AtomicBool::new(false);
+        let mut plan = swing(&scale, home_rad, &is_interrupted);
+        run(&mut bus, &scale, |motor, measured| {
+            let at_deg = fleet.drives[2].with(|drive| drive.plant().output_angle_deg());
+            // It swings by 0.5 rad.
+            assert!((at_deg - 200.0).abs() < 30.0, "{at_deg}");
+            plan(motor, measured)
+        })
+        .unwrap();
+    }
+
+    #[test]
+    fn shaft_beyond_the_scale_is_not_moved() {
+        let refused = ready(&mut turned(Firmware::V4_3, 800.0).master::<8>()).unwrap_err();
+        assert_eq!(refused.to_string(), "motor 3 is at 800 deg, beyond its scale");
     }
 
     #[test]
@@ -185,7 +247,7 @@ mod tests {
     #[test]
     fn drive_error_and_drive_restart_end_the_loop() {
         for (fault, why) in [
-            ("stall@5+5s", "motor 5 reports an error (motor stalled) and has cut its output"),
+            ("stall@5+5s", "motor 5 reports an error (motor stalled), and may hold nothing"),
             ("reset@6+5s", "motor 6 has restarted"),
         ] {
             let (left, after) = ten_seconds_with(fault);
@@ -202,7 +264,7 @@ mod tests {
             let fleet = Fleet::new(8).on_can(1_000_000).unwrap();
             let mut bus = fleet.master::<8>();
             let scale = Firmware::V4_3.motion_ranges().unwrap();
-            let mut plan = swing(&scale, &is_interrupted);
+            let mut plan = swing(&scale, [0.0; 8], &is_interrupted);
             let ended = run(&mut bus, &scale, |motor, measured| {
                 if motor == MotorId::MIN && fleet.world.now().as_micros() == 100_000 {
                     signal_hook::low_level::raise(signal).unwrap();

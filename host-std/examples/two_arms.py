@@ -10,7 +10,7 @@ import time
 
 import can
 
-READ_ANGLE, MOVE_TO, RELEASE_BRAKE = 0x92, 0xA4, 0x77
+READ_ANGLE, MOVE_TO, STOP = 0x92, 0xA4, 0x81
 
 with (
     can.Bus(interface="slcan", channel="/tmp/robot/left", bitrate=1_000_000) as bus,
@@ -29,11 +29,17 @@ with (
         log(reply)
         return reply.data
 
-    for motor in (1, 2, 3):
-        ask(motor, bytes([RELEASE_BRAKE, 0, 0, 0, 0, 0, 0, 0]))
-        # To 45 degrees, in steps of 0.01, at up to 90 degrees a second.
-        ask(motor, struct.pack("<BxHi", MOVE_TO, 90, 4500))
-    time.sleep(2)
-    for motor in (1, 2, 3):
-        (angle,) = struct.unpack_from("<i", ask(motor, bytes([READ_ANGLE, 0, 0, 0, 0, 0, 0, 0])), 4)
-        print(f"motor {motor} is at {angle / 100:.2f} deg")
+    try:
+        for motor in (1, 2, 3):
+            # To 45 degrees, in steps of 0.01, at up to 90 degrees a second. This opens the brake.
+            ask(motor, struct.pack("<BxHi", MOVE_TO, 90, 4500))
+        time.sleep(2)
+        for motor in (1, 2, 3):
+            (angle,) = struct.unpack_from("<i", ask(motor, bytes([READ_ANGLE] + 7 * [0])), 4)
+            print(f"motor {motor} is at {angle / 100:.2f} deg")
+    except BaseException:
+        for motor in (1, 2, 3):
+            bus.send(
+                can.Message(arbitration_id=0x140 + motor, data=[STOP] + 7 * [0], is_extended_id=False)
+            )
+        raise
