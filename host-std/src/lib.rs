@@ -20,7 +20,7 @@
 //! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can, thiserror |
 //! | `explain` | [`explain`] | serde_json |
 //! | `port` | [`port`] | socketcan, rustix, embedded-io, embassy-futures, nb |
-//! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io and its async traits, nb |
+//! | `sim` | [`sim`] | crc, libm, rand_chacha, serde, serde_json, toml, embedded-io and its async traits, nb |
 //! | `port` and `sim` | [`open`], [`share`], [`serve`] | |
 //! | `cli` (default) | the program `myactuator`, and all of the above | clap, signal-hook |
 //! | `can-stack` | nothing: a test that uses its machine's CAN interfaces is built | |

@@ -32,6 +32,7 @@ on_both_buses! {
     a_bus_that_is_out_for_a_while
     motors_found_by_a_scan_hold_on
     others_hold_while_one_does_not_confirm_a_stop
+    others_hold_until_a_stop_of_all_gives_a_dead_one_up
 }
 
 /// A restart takes ten times as long, and twice as long without an answer.
@@ -208,6 +209,21 @@ fn others_hold_while_one_does_not_confirm_a_stop<W: Wire>() {
     bus.drives.iter().for_each(|drive| drop(happened(drive)));
     bring_up::wait_until_there(&mut runner, id(20), millis(500)).unwrap_err();
     assert_eq!(lost_their_master(&bus.drives[1..5]), []);
+}
+
+/// Meanwhile nothing speaks to the others, for some 15 time-outs. Their protection is longer.
+fn others_hold_until_a_stop_of_all_gives_a_dead_one_up<W: Wire>() {
+    let (bus, mut runner) = held::<W>();
+    for motor in others() {
+        let limit = Milliseconds::from_raw(500);
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    bus.world.cut(bus.drives[0].station());
+    let begun = runner.now();
+    assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), id(1).into());
+    let (taken, time_out) = (runner.now() - begun, W::CONFIG.reply_timeout);
+    assert!((time_out.times(14)..=time_out.times(20)).contains(&taken), "{taken}");
+    check_others_hold(&bus);
 }
 
 /// Loaded motors on a slow line. All hold.

@@ -73,9 +73,9 @@ pub struct MotionLimits {
     pub position_rad: f32,
     /// Velocity, rad/s.
     pub velocity_rad_s: f32,
-    /// Gain on the position error.
+    /// Gain on the position error, N·m/rad.
     pub kp: f32,
-    /// Gain on the velocity error.
+    /// Gain on the velocity error, N·m·s/rad.
     pub kd: f32,
     /// Torque, N·m.
     pub torque_nm: f32,

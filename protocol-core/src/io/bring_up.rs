@@ -248,6 +248,7 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 }
 
 /// Sets after how long without a command a motor stops on its own (0xB3); 0 switches that off. It is kept in ROM.
+/// Not while the motor starts or moves (2.31.1), which is not checked.
 ///
 /// From then on the motor must be spoken to without longer pauses, even while a stop holds it.
 ///
@@ -263,8 +264,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
 ///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to). A control loop
 ///   needs [more](crate::io::Watch).
-/// - On RS485 the others wait longer in two cases: for 100 ms if [`is_shared`] or [`change_id`] has no answer, and for
-///   15 time-outs if a motor does not confirm the stop of a [move](move_to) that has failed.
+/// - The others wait for some 15 reply time-outs if a motor does not confirm a stop, and on RS485 for 100 ms if
+///   [`is_shared`] or [`change_id`] has no answer.
 ///
 /// # Errors
 /// [`CallError`]. As it writes to ROM, the command is sent only once. If no reply comes, the time may be set or not: call

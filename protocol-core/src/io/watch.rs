@@ -23,8 +23,9 @@ pub enum Trouble {
     /// No feedback has come for longer than [`Watch::longest_silence`].
     #[error("motor {0} is not heard: is it powered and connected, and is this its id?")]
     Silent(MotorId),
-    /// The drive reports an error (0x9A). It has cut its output and locked its brake, and goes on answering.
-    #[error("motor {motor} reports an error ({errors}) and has cut its output")]
+    /// The drive reports an error (0x9A) and goes on answering. Take it that it has cut its output and holds nothing; the
+    /// manual does not say so, nor what its brake does.
+    #[error("motor {motor} reports an error ({errors}), and may hold nothing")]
     Errors {
         /// The motor.
         motor: MotorId,
@@ -92,7 +93,8 @@ pub enum LoopError<E> {
 /// the manual does not know. Of a drive that does not send it, an outage shows only as silence. So let the protection be
 /// longer than the [longest silence](Self::longest_silence) and the
 /// [reply time-out](crate::master::Config::reply_timeout) together. Otherwise a drive may let go and lock its brake, and
-/// be heard again just in time: then the loop goes on against the brake.
+/// be heard again just in time: then the loop goes on against the brake. Let it be longer than a stop, too: that takes
+/// some 15 reply time-outs if a motor does not confirm it, and meanwhile nothing speaks to the others.
 ///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///

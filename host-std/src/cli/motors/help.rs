@@ -19,7 +19,7 @@ themselves, such as SIGTERM (143) and SIGHUP (129).";
 pub(super) const HOLDS: &str = "\
 A motor whose communication-loss protection (0xB3) is set, by 'myactuator timeout' or another program, does not hold for \
 ever. Nothing talks to it after this program has ended, and when that time is up its output is off. Its shaft is free \
-then unless it has a brake, which takes some 50 to 150 ms to lock. Where a load could fall, lock the brake before that: \
+then unless it has a brake, which takes up to 200 ms to lock. Where a load could fall, lock the brake before that: \
 'myactuator brake lock'.";
 
 /// How long it takes to stop all motors, and which it cannot name.

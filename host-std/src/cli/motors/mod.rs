@@ -69,7 +69,7 @@ pub(super) enum Subcommand {
     /// commands them, which switches them on again; one that sends less often is not noticed. A motor does not count as
     /// off if it does not confirm, or if another program commands it.
     ///
-    /// A brake takes some 50 to 150 ms to lock. Where a load could fall, use 'myactuator stop' and 'myactuator brake lock'
+    /// A brake takes up to 200 ms to lock. Where a load could fall, use 'myactuator stop' and 'myactuator brake lock'
     /// first.
     ///
     /// Exit status: 0 off, 1 not, 2 wrong usage.

@@ -17,13 +17,13 @@ const MOST_V: f64 = 1000.0;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
-    /// Voltage without load, V.
+    /// Voltage without load, 0 to 1000 V.
     pub voltage_v: f64,
-    /// Internal resistance, wires included, Ω.
+    /// Internal resistance, wires included, 0.0001 to 1,000,000 Ω.
     pub resistance_ohm: f64,
-    /// Resistance against current that flows back, Ω.
+    /// Resistance against current that flows back, 0.0001 to 1,000,000 Ω.
     pub feedback_resistance_ohm: f64,
-    /// Capacitor at the drive's input, F.
+    /// Capacitor at the drive's input, 0.0001 to 100 F.
     pub capacitance_f: f64,
     /// The resistor that burns power that is fed back; `None` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -34,12 +34,12 @@ pub struct Supply {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BrakeResistor {
-    /// It is switched on above this voltage, V; not below the supply's own.
+    /// It is switched on above this voltage, at most 1000 V, and not below the supply's own.
     pub on_above_v: f64,
     /// It is switched off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and not below the supply's
     /// own.
     pub off_below_v: f64,
-    /// Resistance, Ω.
+    /// Resistance, 0.01 to 1,000,000 Ω.
     pub resistance_ohm: f64,
 }
 
