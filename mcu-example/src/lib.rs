@@ -21,8 +21,8 @@
 //! ```
 //!
 //! `Looking` follows if a shutdown was broken off: for each motor, once that motor has confirmed its stop. If the
-//! confirmation is late, it follows from `Stopped`. So it does if a motor that stands behind its locked brake turns, and
-//! then also at once from `Finding`.
+//! confirmation is late, it follows from `Stopped`. So it does if a motor that stands behind its locked brake turns,
+//! and then also at once from `Finding`.
 //!
 //! Nothing moves until the button is pressed, whatever happened before.
 #![no_std]

@@ -49,8 +49,8 @@ pub struct Setup {
     pub amplitude: Angle,
     /// How long it takes there and back.
     pub period: Duration,
-    /// The cycle: at most 10 ms with real motors. A shutdown and a check ask each motor one question in each cycle, so the longer it is,
-    /// the further a load falls until it is caught.
+    /// The cycle: at most 10 ms with real motors. A shutdown and a check ask each motor one question in each cycle, so
+    /// the longer it is, the further a load falls until it is caught.
     pub cycle: Duration,
     /// After how long without a command a motor cuts its output on its own (0xB3). 500 ms or more: if other motors do
     /// not confirm a stop, it may hear nothing for 400 ms.

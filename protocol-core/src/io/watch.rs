@@ -23,8 +23,8 @@ pub enum Trouble {
     /// No feedback has come for longer than [`Watch::longest_silence`].
     #[error("motor {0} is not heard: is it powered and connected, and is this its id?")]
     Silent(MotorId),
-    /// The drive reports an error (0x9A) and goes on answering. Take it that it has cut its output and holds nothing; the
-    /// manual does not say so, nor what its brake does.
+    /// The drive reports an error (0x9A) and goes on answering. Take it that it has cut its output and holds nothing;
+    /// the manual does not say so, nor what its brake does.
     #[error("motor {motor} reports an error ({errors}), and may hold nothing")]
     Errors {
         /// The motor.

@@ -24,8 +24,8 @@ pub enum StopKind {
     /// confirms and holds nothing. Where a load could fall, read its errors (0x9A) and lock a brake.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake that was opened
-    /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock the
-    /// brake (0x78), and wait for that long.
+    /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock
+    /// the brake (0x78), and wait for that long.
     Off,
 }
 

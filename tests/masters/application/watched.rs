@@ -348,7 +348,7 @@ fn a_slip_in_the_moment_of_a_press_is_seen<B: Moved>() {
         slips(&bus.drives[1]);
         firmware.run_for(millis(1_500));
         let (told, fallen) = (firmware.troubles(), fallen_deg(&bus, &before_deg));
-        assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{phase_ms} ms: {fallen:?} {:?}", firmware.panel.reports);
+        assert_eq!(told, [Trouble::Turns { motor: id(2) }], "{phase_ms} ms: {fallen:?}");
         assert!(!is_off(&bus.drives[1]) && fallen[1] < 23.0, "{phase_ms} ms: {fallen:?}");
     }
 }
