@@ -11,7 +11,8 @@ const LONG: Duration = Duration::from_secs(1);
 
 /// A press this soon after the motors were stopped by something else was meant to stop them.
 const MEANT_TO_STOP: Duration = Duration::from_secs(1);
-/// A motor that lets go again keeps no more presses from counting, until none has let go for this long.
+/// A motor that lets go or has an error again keeps no more presses from counting, until none was told to hold again
+/// for this long.
 const AGAIN: Duration = Duration::from_secs(3);
 
 /// How a button was pressed.
