@@ -115,3 +115,55 @@ impl Button {
         press
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Instant {
+        Instant::ZERO + Duration::from_millis(ms)
+    }
+
+    /// A button that is up at the start.
+    fn button() -> Button {
+        let mut button = Button::new(at(0));
+        assert_eq!(pressed(&mut button, 0..0), None);
+        button
+    }
+
+    /// What counts of a press of this time, in milliseconds.
+    fn pressed(button: &mut Button, down: core::ops::Range<u64>) -> Option<Press> {
+        let looks = down.start..down.end.max(down.start) + 50;
+        let all = looks.filter_map(|ms| button.look(down.contains(&ms), at(ms)));
+        all.filter(|&press| press != Press::Down).last()
+    }
+
+    #[test]
+    fn a_motor_that_is_caught_again_within_three_seconds_keeps_no_press_from_counting() {
+        let mut button = button();
+        let cases = [(1_000, None), (2_500, Some(Press::Short)), (6_000, None)];
+        for (caught_ms, counts) in cases {
+            button.caught(MotorId::MIN, at(caught_ms));
+            let press = pressed(&mut button, caught_ms + 100..caught_ms + 150);
+            assert_eq!(press, counts, "{caught_ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_long_press_counts_only_if_it_was_meant_for_what_there_is() {
+        let mut button = button();
+        button.fell(at(1_000));
+        button.stopped(at(1_100));
+        assert_eq!(pressed(&mut button, 1_200..2_300), None, "it began soon after a fall");
+        assert_eq!(pressed(&mut button, 2_400..3_500), Some(Press::Long));
+        assert_eq!(pressed(&mut button, 4_000..4_500), Some(Press::Short));
+    }
+
+    #[test]
+    fn a_long_press_that_began_before_a_stop_does_not_count() {
+        let mut button = button();
+        assert_eq!(button.look(true, at(1_000)), Some(Press::Down));
+        button.stopped(at(1_500));
+        assert_eq!(pressed(&mut button, 1_501..2_100), None);
+    }
+}
