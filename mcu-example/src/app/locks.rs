@@ -127,6 +127,17 @@ mod tests {
     use crate::Movement;
 
     #[test]
+    fn an_error_is_new_after_a_press_of_either_kind() {
+        let mut locks = Locks::new();
+        let is_new = |locks: &mut Locks| [(); 2].map(|()| locks.fails(MotorId::MIN));
+        assert_eq!(is_new(&mut locks), [true, false]);
+        locks.shut_down(MotorSet::EMPTY);
+        assert_eq!(is_new(&mut locks), [true, false]);
+        locks.forget_errors();
+        assert_eq!(is_new(&mut locks), [true, false]);
+    }
+
+    #[test]
     fn what_came_of_another_question_is_not_what_came_of_the_lock() {
         let ranges = MotionRanges::V4_3;
         let setup = Setup::new(Movement::Motion { ranges, kp: 0.0, kd: 0.0 });
