@@ -84,7 +84,7 @@ impl<E> Desk<E> {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
         state.check(motor, command.kind, since)?;
-        state.note_laid_down(motor, command.kind);
+        state.note_motion(motor, command.kind);
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
@@ -111,7 +111,6 @@ impl<E> Desk<E> {
             return Err(SharedBusError::Refused { motor, refusal });
         }
         slot.set_point = Some(LaidDown { command, laid_at: since_boot(), found_at: None });
-        state.note_laid_down(motor, command.kind);
         self.leave(state);
         Ok(())
     }

@@ -177,8 +177,8 @@ impl<E> State<E> {
         Ok(())
     }
 
-    /// Takes note of a command that is laid down.
-    pub(super) fn note_laid_down(&mut self, motor: MotorId, kind: Kind) {
+    /// Takes note of a question that is laid down, or of a set-point that the master has accepted.
+    pub(super) fn note_motion(&mut self, motor: MotorId, kind: Kind) {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
             self.past[motor.index()].is_let_go = false;
@@ -280,11 +280,15 @@ impl<E> State<E> {
             let Some(LaidDown { command, laid_at, found_at }) = slot.set_point.take() else {
                 continue;
             };
-            let found_at = found_at.unwrap_or_else(|| clerk.found_at(laid_at));
+            let (kind, found_at) =
+                (command.kind, found_at.unwrap_or_else(|| clerk.found_at(laid_at)));
             if ending.contains(motor) {
                 slot.set_point = Some(LaidDown { command, laid_at, found_at: Some(found_at) });
-            } else if let Err(refusal) = clerk.set_point(motor, command, found_at) {
-                slot.refusal = Some(refusal);
+                continue;
+            }
+            match clerk.set_point(motor, command, found_at) {
+                Ok(()) => self.note_motion(motor, kind),
+                Err(refusal) => slot.refusal = Some(refusal),
             }
         }
     }

@@ -413,6 +413,18 @@ fn a_stop_does_not_switch_on_a_motor_whose_set_point_was_refused() {
 }
 
 #[test]
+fn a_stop_does_not_switch_on_a_motor_whose_set_point_the_master_refused() {
+    let desk = new_desk();
+    let since = desk.past(id(3));
+    drop(ask(&desk, 3, Shutdown));
+    taken(&desk);
+    desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
+    taken(&desk);
+    drop(desk.stop(id(3), StopKind::Hold, Some(since)));
+    assert_eq!(taken(&desk), ["stop 3: Off"]);
+}
+
+#[test]
 fn hold_by_a_caller_from_before_a_shutdown_is_refused() {
     let desk = new_desk();
     let (since, hold) = (desk.past(id(1)), Untyped::of(&Stop));
