@@ -20,12 +20,12 @@ tests_on! {
 /// The firmware gives a silent motor up after 100 ms, and then stops all.
 const SILENCE_STOPS: Duration = Duration::from_millis(250);
 /// A drive that restarts may answer again before it counts as silent. Then it is found by its run time, which the
-/// application queries every 120 ms.
-const RESTART_STOPS: Duration = Duration::from_millis(370);
+/// application queries every 240 ms.
+const RESTART_STOPS: Duration = Duration::from_millis(490);
 /// A motor that receives nothing stops on its own after 500 ms, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
-/// The application queries each motor's errors every 120 ms.
-const ERROR_STOPS: Duration = Duration::from_millis(300);
+/// The application queries each motor's errors every 240 ms.
+const ERROR_STOPS: Duration = Duration::from_millis(420);
 
 /// One fault after another; after each the motors move again.
 fn one_faulty_drive_stops_all(program: Program) {
