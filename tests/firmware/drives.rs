@@ -9,7 +9,8 @@ use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::truth::Sample;
 
 use super::running::{
-    Program, RECOVERY, TIMEOUT, WATCH, moving, start_moving, stopped, tests_on, wait_for_trouble,
+    Program, QUERY_PERIOD, RECOVERY, TIMEOUT, WATCH, moving, start_moving, stopped, tests_on,
+    wait_for_trouble,
 };
 
 tests_on! {
@@ -19,13 +20,11 @@ tests_on! {
 
 /// The firmware gives a silent motor up after 100 ms, and then stops all.
 const SILENCE_STOPS: Duration = Duration::from_millis(250);
-/// A drive that restarts may answer again before it counts as silent. Then it is found by its run time, which the
-/// application queries every 240 ms.
-const RESTART_STOPS: Duration = Duration::from_millis(490);
+/// A drive that restarts may answer again before it counts as silent. Then it is found by its run time.
+const RESTART_STOPS: Duration = QUERY_PERIOD.saturating_add(Duration::from_millis(250));
 /// A motor that receives nothing stops on its own after 500 ms, which the application has set.
 const PROTECTION_STOPS: Duration = Duration::from_millis(700);
-/// The application queries each motor's errors every 240 ms.
-const ERROR_STOPS: Duration = Duration::from_millis(420);
+const ERROR_STOPS: Duration = QUERY_PERIOD.saturating_add(Duration::from_millis(180));
 
 /// One fault after another; after each the motors move again.
 fn one_faulty_drive_stops_all(program: Program) {

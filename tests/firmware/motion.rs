@@ -12,7 +12,7 @@ use myactuator_tests::fleet::state;
 
 use super::running::{
     DRIVES, MPS2_CAN, MPS2_CAN_ASYNC, MPS2_RS485, MPS2_RS485_ASYNC, NETDUINO_RS485, Program,
-    TIMEOUT, WATCH, judge, not_judged, stopped, tests_on, wait_for_trouble,
+    QUERY_PERIOD, TIMEOUT, WATCH, judge, not_judged, stopped, tests_on, wait_for_trouble,
 };
 
 tests_on! {
@@ -22,9 +22,8 @@ tests_on! {
 
 /// How far a shaft may be from its set-point, degrees.
 const FOLLOWS_DEG: f32 = 2.0;
-/// On RS485 the application queries each motor's angle every 240 ms: in each cycle of 20 ms one of four motors one of
-/// three questions.
-const ANGLE_AGE_MS: u64 = 300;
+/// How old the angle that is reported may be.
+const ANGLE_AGE: Duration = QUERY_PERIOD.saturating_add(Duration::from_millis(60));
 /// How far the application moves the motors, degrees.
 const AMPLITUDE_DEG: f32 = 20.0;
 /// Within this time a press of the button stops the motors: the application polls the button every 20 ms.
@@ -95,11 +94,11 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
         // The report comes at the end of the range, where the shaft is slow.
         let measured_deg = measured.number("angle").unwrap_or(f64::NAN) as f32 / 100.0;
         let now = firmware.drives().now();
-        let before = Instant::from_micros(now.as_micros() - ANGLE_AGE_MS * 1_000);
+        let before = Instant::from_micros(now.as_micros() - ANGLE_AGE.as_micros() as u64);
         let (least_deg, most_deg) = firmware.truth.reached_deg(before, now)[usize::from(id) - 1];
         assert!(
             (least_deg - FOLLOWS_DEG..most_deg + FOLLOWS_DEG).contains(&measured_deg),
-            "expected a true angle of the last {ANGLE_AGE_MS} ms, {least_deg} to {most_deg}, found \"{measured}\""
+            "expected a true angle of the last {ANGLE_AGE:?}, {least_deg} to {most_deg}, found \"{measured}\""
         );
     }
     let now = firmware.drives().now();

@@ -16,6 +16,10 @@ use myactuator_tests::emulator::processor;
 
 /// The number of drives.
 pub(crate) const DRIVES: u8 = 4;
+/// The cycle of the emulated boards.
+const CYCLE: Duration = Duration::from_millis(20);
+/// How often the application queries a motor's angle, its errors and its run time: each cycle has one query.
+pub(crate) const QUERY_PERIOD: Duration = CYCLE.saturating_mul(3 * DRIVES as u32);
 /// For each step without a time limit of its own.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a test watches that nothing starts on its own. After a stop that was not caused by the button, the firmware

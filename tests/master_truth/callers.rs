@@ -56,7 +56,7 @@ pub(crate) struct Session<W: Rough> {
 
 impl<W: Rough> Session<W> {
     pub(crate) fn new(scenario: Scenario) -> Self {
-        let stage = Stage::<W>::new(&scenario, scenario.config::<W>());
+        let stage = Stage::<W>::new(&scenario);
         for direction in [Direction::ToNodes, Direction::ToPorts, Direction::Echo] {
             stage.world.set_faults(direction, scenario.plan::<W>(direction));
         }
@@ -85,7 +85,7 @@ impl<W: Rough> Session<W> {
             asked: 0,
             since: vec![Instant::ZERO; count],
             limits: vec![(Duration::ZERO, Duration::ZERO); count],
-            bounds: Bounds::new(&scenario, scenario.config::<W>()),
+            bounds: Bounds::new(&scenario, scenario.longest::<W>()),
             all_asked_since: Duration::ZERO,
             watched_at: Instant::ZERO,
             is_left_due: false,
@@ -182,7 +182,7 @@ impl<W: Rough> Session<W> {
 
     /// A set-point waits until it is too old, or its feedback may be lost. And for a while no caller looks.
     fn longest_stream_wait(&self) -> Duration {
-        let config = self.scenario.config::<W>();
+        let config = self.scenario.longest::<W>();
         config.set_point_max_age + config.reply_timeout + Duration::from_millis(60)
     }
 

@@ -8,6 +8,9 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_tests::dice::Dice;
 use myactuator_tests::wire::Wire;
 
+/// The longest time-outs of a master that measures how long replies take, as on the buses of hosts.
+const LONGEST_REPLY_TIMEOUT: Duration = Duration::from_millis(40);
+
 /// The troubles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Trouble {
@@ -121,6 +124,8 @@ pub(crate) struct Conditions {
     pub(crate) deaf_to_all: bool,
     /// Now and then the master's own wire is cut, so that nothing acknowledges the frames in its mailboxes.
     pub(crate) cuts_master: bool,
+    /// Time-outs follow the measured round trips, as on the buses of hosts. Nobody tells the master of bursts.
+    pub(crate) adapts: bool,
 }
 
 /// One run.
@@ -224,6 +229,12 @@ impl Scenario {
         self
     }
 
+    /// The same for a master that has to measure how long replies take.
+    pub(crate) fn adapting(mut self) -> Self {
+        self.conditions.adapts = true;
+        self
+    }
+
     /// Nothing sends except drives that are asked.
     fn keep_the_line_to_the_master(&mut self) {
         if self.trouble.is_by_hand() {
@@ -250,12 +261,26 @@ impl Scenario {
             // An answer within the clock step of its command seems to take no time.
             config.shortest_response = Duration::ZERO;
         }
-        if self.conditions.burst_ms > 0 {
+        if self.conditions.adapts {
+            config = config.adapting_up_to(LONGEST_REPLY_TIMEOUT);
+        } else if self.conditions.burst_ms > 0 {
             let burst = Duration::from_millis(self.conditions.burst_ms);
             config.reply_timeout = config.reply_timeout + burst;
             config.late_window = config.late_window + burst + burst;
         }
         config
+    }
+
+    /// The same with the longest time-outs that it may use. What takes longer than `longest_response` may count as lost
+    /// even with the shortest.
+    pub(crate) fn longest<W: Wire>(&self) -> Config {
+        let config = self.config::<W>();
+        let more = config.longest_reply_timeout - config.reply_timeout;
+        Config {
+            reply_timeout: config.reply_timeout + more,
+            late_window: config.late_window + more,
+            ..config
+        }
     }
 
     /// The longest delay of a frame.

@@ -439,10 +439,10 @@ pub(crate) struct Stage<W: Rough> {
 }
 
 impl<W: Rough> Stage<W> {
-    pub(crate) fn new(scenario: &Scenario, config: Config) -> Self {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
         let conditions = &scenario.conditions;
         let world = W::world(scenario.seed);
-        let book = Book::new(&config);
+        let book = Book::new(&scenario.longest::<W>());
         {
             let mut truth = book.open();
             truth.clock_step =
@@ -450,7 +450,7 @@ impl<W: Rough> Stage<W> {
             truth.clock_ahead = Duration::from_millis(conditions.clock_start_ms);
             truth.twin = conditions.twins.then_some(MotorId::MIN);
         }
-        let (host, port) = W::host(&world, scenario, &book, config);
+        let (host, port) = W::host(&world, scenario, &book, scenario.config::<W>());
         let mut drives = Vec::new();
         let mut stations = Vec::new();
         let mut seat = |motor: MotorId, number: u64| {

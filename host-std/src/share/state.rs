@@ -280,12 +280,12 @@ impl<E> State<E> {
             let Some(LaidDown { command, laid_at, found_at }) = slot.set_point.take() else {
                 continue;
             };
-            let (kind, found_at) =
-                (command.kind, found_at.unwrap_or_else(|| clerk.found_at(laid_at)));
+            let found_at = found_at.unwrap_or_else(|| clerk.found_at(laid_at));
             if ending.contains(motor) {
                 slot.set_point = Some(LaidDown { command, laid_at, found_at: Some(found_at) });
                 continue;
             }
+            let kind = command.kind;
             match clerk.set_point(motor, command, found_at) {
                 Ok(()) => self.note_motion(motor, kind),
                 Err(refusal) => slot.refusal = Some(refusal),
