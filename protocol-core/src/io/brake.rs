@@ -27,8 +27,8 @@ const RELEASES: u8 = 3;
 /// How often a brake that does not answer is told to lock, with the time to lock in between: a line may be out for
 /// longer than a question is repeated.
 const LOCKS: u8 = 2;
-/// How often a question is asked, if the bus fails, while a load depends on its answer.
-const LOOKS: u8 = 10;
+/// How often something is asked, if the bus fails, while a load depends on it.
+const TRIES: u8 = 10;
 
 /// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped between telling the
 /// brake to open and the motor's confirmation that it holds, the stop is in force, and is the first thing that any
@@ -38,11 +38,11 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
     // A drive that has lost its master obeys the third command (2.31.1).
-    look(bus, motor, ReadStatus1).await?;
-    let before = look(bus, motor, ReadStatus1).await?;
+    insist(bus, motor, ReadStatus1).await?;
+    let before = insist(bus, motor, ReadStatus1).await?;
     if has_errors(&before) {
         if before.brake != BrakeCommand::LOCK {
-            let _ = bus.ask(motor, LockBrake).await;
+            let _ = insist(bus, motor, LockBrake).await;
         }
         return Err(BringUpError::Fault { motor, errors: before.errors });
     }
@@ -67,7 +67,7 @@ async fn open<B: Calls<N>, const N: usize>(
         },
     };
     // Only the brake can hold the shaft now. The outcome of this changes nothing.
-    let _ = bus.ask(motor, LockBrake).await;
+    let _ = insist(bus, motor, LockBrake).await;
     Err(fails)
 }
 
@@ -80,7 +80,7 @@ async fn falls<B: Calls<N>, const N: usize>(
     let end = bus.now() + COMES_TO_REST;
     let mut turned = false;
     loop {
-        let Feedback { speed, current, .. } = look(bus, motor, ReadStatus2).await?;
+        let Feedback { speed, current, .. } = insist(bus, motor, ReadStatus2).await?;
         let turns = turns(speed);
         let now = bus.now();
         if turned && turns && (now >= end || !runs(bus, motor).await.unwrap_or(current.raw() != 0))
@@ -116,17 +116,26 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
             opening.end();
             return told;
         }
-        if is_unsent || matches!(told, Err(CallError::Bus(_))) {
-            return told;
+        if is_unsent {
+            break;
         }
-        // Right after the release, answered or not: the brake may open all the same, and then a load falls. Not before
-        // it: behind a locked brake a stop may do nothing.
-        opening.it.ask(motor, Stop).await?;
-        if told.is_ok() {
-            opening.end();
-            return told;
+        // Right after the release, answered or not, and whatever the bus reports: the brake may open all the same, and
+        // then a load falls. Not before it: behind a locked brake a stop may do nothing.
+        match opening.it.ask(motor, Stop).await {
+            Ok(_) if told.is_ok() => {
+                opening.end();
+                return told;
+            }
+            Ok(_) => {}
+            Err(error) => {
+                told = Err(error);
+                break;
+            }
         }
     }
+    // Sent before this returns: nobody may run the loop soon.
+    let _ = opening.it.stop(motor, StopKind::Hold).await;
+    opening.end();
     told
 }
 
@@ -139,7 +148,7 @@ async fn moved<B: Calls<N>, const N: usize>(
     let end = bus.now() + BRAKE_MOVES;
     loop {
         // In silence the communication-loss protection would lock the brake and switch the motor off.
-        let status = look(bus, motor, ReadStatus1).await?;
+        let status = insist(bus, motor, ReadStatus1).await?;
         let now = bus.now();
         if now >= end || is_over(&status) {
             return Ok(status);
@@ -260,7 +269,7 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
 /// does, if that is known.
 async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
     // Only a known error prevents this: the load is falling.
-    if look(bus, motor, ReadStatus1).await.is_ok_and(|status| has_errors(&status)) {
+    if insist(bus, motor, ReadStatus1).await.is_ok_and(|status| has_errors(&status)) {
         return Some(false);
     }
     match open(bus, motor).await {
@@ -282,7 +291,7 @@ async fn turned_by_load<B: Calls<N>, const N: usize>(
     let end = bus.now() + LOAD_SHOWS;
     let mut turned = false;
     loop {
-        let feedback = look(bus, motor, ReadStatus2).await?;
+        let feedback = insist(bus, motor, ReadStatus2).await?;
         let now = bus.now();
         match turns(feedback.speed) {
             true if turned => return Ok(Some(feedback)),
@@ -294,15 +303,15 @@ async fn turned_by_load<B: Calls<N>, const N: usize>(
 }
 
 /// Asks again if the bus fails: a load depends on what is done next.
-async fn look<B: Calls<N>, C: Command + Copy, const N: usize>(
+async fn insist<B: Calls<N>, C: Command + Copy, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     command: C,
 ) -> Result<C::Reply, CallError<B::Error>> {
-    let mut looks = 1;
+    let mut tries = 1;
     loop {
         match bus.ask(motor, command).await {
-            Err(CallError::Bus(_)) if looks < LOOKS => looks += 1,
+            Err(CallError::Bus(_)) if tries < TRIES => tries += 1,
             outcome => return outcome,
         }
         let soon = bus.now() + SPOKEN_TO_EVERY;

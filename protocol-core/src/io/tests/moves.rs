@@ -84,44 +84,75 @@ fn unanswered_brake_release_is_followed_by_holds_each_time() {
     let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte < 0x90);
     // Once more, when what was not answered must have come.
     let each = [0x77, 0x81, 0x81];
-    assert_eq!(sent.collect::<Vec<_>>(), [each; 3].concat());
+    let expected = [&[each; 3].concat()[..], &[0x81]].concat();
+    assert_eq!(sent.collect::<Vec<_>>(), expected);
     assert!(arm.master().is_stopped(id(1)));
     // Where it is refused, nothing is sent.
     assert!(bring_up::release_brake(&mut arm, id(1)).is_err());
     assert!(!bus.sent()[..].ends_with(&[[0x77, 0, 0, 0, 0, 0, 0, 0]]));
 }
 
-/// A bus that fails once, when a brake is to open.
-struct FailsOnce(TestCan, bool);
+/// A bus on which one command goes wrong.
+struct FailsAt<B> {
+    bus: B,
+    command: u8,
+    fails: Fails,
+    has_failed: bool,
+}
 
-impl nb::Can for FailsOnce {
+#[derive(Clone, Copy, PartialEq)]
+enum Fails {
+    /// The command is refused once.
+    Once,
+    /// It is carried, and the next look at the bus fails.
+    OnceCarried,
+    /// It is carried, and every look at the bus fails from then on.
+    FromThenOn,
+}
+
+impl<B: nb::Can<Frame = SimpleFrame, Error = Broken>> nb::Can for FailsAt<B> {
     type Frame = SimpleFrame;
     type Error = Broken;
 
     fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
-        if frame.data()[0] == 0x77 && !core::mem::replace(&mut self.1, true) {
-            return Err(::nb::Error::Other(Broken));
+        if frame.data()[0] == self.command && !core::mem::replace(&mut self.has_failed, true) {
+            if self.fails == Fails::Once {
+                return Err(::nb::Error::Other(Broken));
+            }
+            self.command = 0;
         }
-        self.0.transmit(frame)
+        self.bus.transmit(frame)
     }
 
     fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
-        self.0.receive()
+        let fails = self.command == 0 && self.fails != Fails::Once;
+        if fails && self.fails == Fails::OnceCarried {
+            self.fails = Fails::Once;
+        }
+        if fails { Err(::nb::Error::Other(Broken)) } else { self.bus.receive() }
     }
 }
 
-/// What a bus has carried that has failed is not known: the motor is held, and the error is returned.
+/// What a bus has carried that has failed is not known: the motor is told to hold, before anything returns.
 #[test]
-fn brake_release_is_not_repeated_after_a_bus_error() {
-    let (bus, _, mut arm) = on_can(|bus, clock, config| {
-        CanMaster::<_, _, 4>::new(FailsOnce(bus, false), clock, config)
-    });
-    let outcome = bring_up::release_brake(&mut arm, id(1));
-    assert_eq!(outcome, Err(CallError::Bus(Broken).into()));
-    assert!(arm.master().is_stopped(id(1)));
-    arm.run_until(Instant::from_millis(100), |_| {}).unwrap();
-    let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte != 0x9A);
-    assert_eq!(sent.collect::<Vec<_>>(), [0x81]);
+fn brake_release_on_a_bus_that_fails_is_followed_by_a_hold() {
+    for (fails, expected) in [
+        (Fails::Once, &[0x81, 0x77, 0x81][..]),
+        (Fails::OnceCarried, &[0x77, 0x81, 0x77, 0x81]),
+        (Fails::FromThenOn, &[0x77, 0x81]),
+    ] {
+        let (bus, _, mut arm) = on_can(|bus, clock, config| {
+            let bus = FailsAt { bus, command: 0x77, fails, has_failed: false };
+            CanMaster::<_, _, 4>::new(bus, clock, config)
+        });
+        let outcome = bring_up::release_brake(&mut arm, id(1));
+        let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte < 0x90);
+        let sent = sent.collect::<Vec<_>>();
+        assert!(sent.starts_with(expected), "{sent:02X?}");
+        let is_held = fails != Fails::FromThenOn;
+        assert_eq!(outcome, if is_held { Ok(()) } else { Err(CallError::Bus(Broken).into()) });
+        assert_eq!(arm.master().is_stopped(id(1)), !is_held);
+    }
 }
 
 /// Only the brake can hold then.
@@ -141,6 +172,29 @@ fn error_while_a_brake_opens_gets_it_locked_at_once() {
     );
     assert_eq!(bus.sent().last().map(|data| data[0]), Some(0x78));
     assert!(arm.now() < Instant::from_millis(100), "at once: its load falls");
+}
+
+/// The same, and the bus refuses that once.
+#[test]
+fn brake_is_locked_although_the_bus_fails_once() {
+    for errors_from in [1, 4] {
+        let mut looks = 0;
+        let says = move |data: &mut Data| {
+            if data[0] == 0x9A {
+                looks += 1;
+                data[3] = 1;
+                data[6] = if looks >= errors_from { 0x04 } else { 0 };
+            }
+        };
+        let (bus, _, mut arm) = on_can(|bus, clock, config| {
+            let bus = Says::new(bus, says);
+            let bus = FailsAt { bus, command: 0x78, fails: Fails::Once, has_failed: false };
+            CanMaster::<_, _, 4>::new(bus, clock, config)
+        });
+        let failed = bring_up::release_brake(&mut arm, id(1));
+        assert!(matches!(failed, Err(BringUpError::Fault { .. })), "{failed:?}");
+        assert_eq!(bus.sent().last().map(|data| data[0]), Some(0x78), "{errors_from}");
+    }
 }
 
 /// The error comes before the release: an open brake is locked, and a locked one left as it is.
