@@ -115,10 +115,11 @@ impl Owner {
             (Self::Motor, "round") => Field::Round,
             (Self::Master, "pace") => Field::Pace,
             (Self::Motor, "misses") => Field::Misses,
-            (Self::Master | Self::Broadcast, "last_ticket")
+            (Self::Master, "last_ticket" | "looked_at" | "looked_ticket" | "garbled")
+            | (Self::Broadcast, "ticket")
             | (Self::Motor, "ticket" | "is_newest_dropped" | "started_by")
             // Bytes that are already processed, or are no frame.
-            | (Self::Line, "chunk" | "next" | "end" | "garbled")
+            | (Self::Line, "chunk" | "next" | "end")
             | (Self::Receiver, "held")
             | (Self::Record, _) => Field::Ignored,
             _ => Field::Plain,

@@ -240,7 +240,12 @@ impl<W: Rough> Session<W> {
             Err(RequestError::Stopped) if is_stopped => {}
             Err(RequestError::Restarted) if moves => {}
             // A stop is in flight.
-            Err(RequestError::Busy) if self.is_stopping(motor) => {}
+            Err(RequestError::Busy) if self.is_stopping(motor) => {
+                if kind.ends_motion() {
+                    let mut truth = self.stage.book.open();
+                    truth.pages[motor.index()].set_points.may_be_dropped();
+                }
+            }
             // The motor follows a stream of this kind, or reports it: ask for something else.
             Err(RequestError::Streamed(Opcode::Speed)) => {}
             Err(RequestError::Reported(_)) if self.scenario.conditions.reports => {}

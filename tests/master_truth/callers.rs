@@ -248,7 +248,7 @@ impl<W: Rough> Session<W> {
         truth.clocks.disturb(Quiet::None);
         truth.clock_ahead = truth.clock_ahead + HOUR;
         truth.tick(now);
-        truth.no_offer_was_possible();
+        truth.was_held_up();
     }
 
     /// Cuts, slows, babbles and restarts for the scenario's share of the time. Now and then a drive restarts, loses its

@@ -292,10 +292,10 @@ impl Oracle {
             Failure::BusDown => {
                 of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
             }
-            // A move that was put before its motor's restart was reported.
+            // A move that was put before its motor's restart was reported, or before nobody looked for an hour.
             Failure::Dropped => {
-                let is_older = of.put < self.told[motor.index()].restarted;
-                is_move(&open.data) && of.taken == 0 && is_older
+                let is_older = of.put < self.told[motor.index()].restarted && of.taken == 0;
+                open.kind.is_refused_while_stopped() && (is_older || of.put < truth.held_up)
             }
             _ => false,
         };

@@ -180,6 +180,8 @@ pub(crate) struct Truth {
     pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
+    /// When no caller had looked for an hour last.
+    pub(super) held_up: u64,
     /// The port has failed, and a dropped task may have kept the failure for its next round. Commands that are put
     /// before that round may be dropped in it.
     pub(super) failure_is_kept: bool,
@@ -239,6 +241,7 @@ impl Book {
             offers: Offers::new(config),
             stop_to_all: StopToAll::default(),
             failures: 0,
+            held_up: 0,
             failure_is_kept: false,
             clocks: Clocks::default(),
             bus_failed_at: None,
@@ -371,6 +374,13 @@ impl Truth {
         let page = self.page(motor);
         page.restarted = Some(moment);
         page.run_time.begins_at_zero();
+    }
+
+    /// No caller has looked for an hour. What was to move since before that is too old.
+    pub(crate) fn was_held_up(&mut self) {
+        self.held_up = self.next_moment();
+        self.command_to_all_may_be_dropped();
+        self.no_offer_was_possible();
     }
 
     /// The port has failed or refused. Pending commands may be dropped.

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
-use myactuator_host_std::sim::{BusFleet, Fleet};
+use myactuator_host_std::sim::{BusFleet, Fleet, MotorSetup};
 use myactuator_protocol_core::command::{
     ActiveReply, BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges,
     ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunTime, ReadStatus1, ReleaseBrake,
@@ -36,6 +36,7 @@ on_both_buses! {
     a_zero_is_kept_by_a_drive_that_writes_slowly
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
+    an_id_is_not_written_to_motors_that_are_not_understood
     refused_write_to_a_stopped_motor_leaves_it_holding
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
     a_stopped_motor_is_waited_for_until_it_stands
@@ -230,6 +231,18 @@ fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
     let expected = BringUpError::IdNotTaken { from: id(1), to: id(9), is_alone: false };
     assert_eq!(not_taken, Err(expected));
     assert_eq!(bus.drives[1].with(|drive| drive.stored_settings().id), id(2));
+}
+
+/// Two more motors, as they come from the factory. On a line nobody understands them.
+fn an_id_is_not_written_to_motors_that_are_not_understood<W: Wire>() {
+    let silent = Quirks { silent_id_change: true, ..Quirks::default() };
+    let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number)))).quirks(silent);
+    let bus = W::drives(&fleet).unwrap();
+    let not_taken = bring_up::change_id(&mut master(&bus), id(3), id(9));
+    let expected = BringUpError::IdNotTaken { from: id(3), to: id(9), is_alone: false };
+    assert_eq!(not_taken, Err(expected));
+    let stored = [0, 1].map(|place| bus.drives[place].with(|drive| drive.stored_settings().id));
+    assert_eq!(stored, [id(1); 2]);
 }
 
 fn refused_write_to_a_stopped_motor_leaves_it_holding<W: Wire>() {

@@ -72,7 +72,12 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
     pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         let (patience, may_wait) = (self.patience, now < self.latest_turn);
         for it in self.open().filter(|it| it.ticket.is_none()) {
-            match master.put_request(it.motor, &it.command, patience) {
+            // Its turn may come too late: the loop may have been suspended.
+            let put = match may_wait {
+                true => master.put_request(it.motor, &it.command, patience),
+                false => Err(RequestError::Busy),
+            };
+            match put {
                 Ok(ticket) => it.ticket = Some(ticket),
                 Err(RequestError::Busy) if may_wait => {}
                 Err(refusal) => {

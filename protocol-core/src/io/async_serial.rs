@@ -47,7 +47,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
 
     /// How often bytes came that are no frame: noise, or answers that collide, such as those of two motors with one id.
     pub const fn garbled(&self) -> u32 {
-        self.line.garbled
+        self.pump.master.garbled()
     }
 
     /// Returns the port and the clock.

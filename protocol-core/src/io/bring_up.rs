@@ -129,7 +129,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// restarts it.
 ///
 /// - Function 5 (0x20) names the motor, so it comes first. If the motor does not acknowledge that and is the only one
-///   on the bus, 0x79 is tried, which all connected motors obey.
+///   on the bus, 0x79 is tried, which all connected motors obey. It does not count as the only one if the master knows
+///   another, or if bytes came that are no frame: that may be two motors with one id (RS485).
 /// - A motor that turns is refused.
 /// - This asks all ids first, and both of these afterwards. So the master needs a place for each of the two besides
 ///   those of the other motors that it knows: `CanMaster<_, _, 8>` for six motors, for example. Without them nothing is
@@ -183,7 +184,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::NotHeld`], [`BringUpError::Call`].
 ///
 /// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails then, the brake
-/// may be open all the same. The motor is then [stopped](crate::master::Master::stop) until that is lifted.
+/// may be open all the same. The motor is then [stopped](crate::master::Master::stop) before this returns, until that
+/// is lifted.
 ///
 /// The motor is told to hold when an answer is late, so let
 /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. If somebody else

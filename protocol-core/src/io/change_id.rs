@@ -41,7 +41,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     from: MotorId,
     to: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    let mut there = MotorSet::EMPTY;
+    let (mut there, garbled) = (MotorSet::EMPTY, runner.master().garbled());
     find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
     if !there.contains(from) {
         return Err(BringUpError::NotThere(from));
@@ -61,7 +61,9 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     switch_off(runner, from).await?;
-    let is_alone = there.len() == 1;
+    // Motors with one id answer at the same time on a line, so that none of them is understood. Others may be out.
+    let is_alone =
+        there.with(runner.master().motors()) == from.into() && runner.master().garbled() == garbled;
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 

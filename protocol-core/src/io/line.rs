@@ -14,8 +14,6 @@ const CHUNK: usize = 32;
 pub(super) struct Line {
     receiver: Receiver,
     echoes: EchoFilter,
-    /// How often bytes came that are no frame.
-    pub(super) garbled: u32,
     chunk: [u8; CHUNK],
     /// The bytes of `chunk` that are still to be looked at.
     next: usize,
@@ -25,7 +23,7 @@ pub(super) struct Line {
 impl Line {
     pub(super) const fn new(config: &Config) -> Self {
         let echoes = EchoFilter::new(matches!(config.bus, Bus::Rs485 { echo: true, .. }));
-        Self { receiver: Receiver::new(), echoes, garbled: 0, chunk: [0; CHUNK], next: 0, end: 0 }
+        Self { receiver: Receiver::new(), echoes, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
     /// Takes what the port holds, up to the first event. `read` returns 0 if the port holds nothing.
@@ -59,7 +57,7 @@ impl Line {
                 Fed::Frame(frame) => frame,
                 Fed::Wanting => continue,
                 Fed::Discarded { .. } => {
-                    self.garbled = self.garbled.saturating_add(1);
+                    master.note_garbled();
                     continue;
                 }
             };

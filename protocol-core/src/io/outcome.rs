@@ -26,14 +26,14 @@ pub enum BringUpError<E> {
     #[error(
         "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}what it has kept \
          shows when its supply was switched off and on",
-        if *is_alone { "" } else { "connect it alone, so that 0x79 can be tried as well; " }
+        if *is_alone { "" } else { "connect it alone, to a line without noise, so that 0x79 can be tried as well; " }
     )]
     IdNotTaken {
         /// The id that it had.
         from: MotorId,
         /// The id that it was given.
         to: MotorId,
-        /// Whether it was the only motor. If not, 0x79 was not tried: all motors obey it.
+        /// Whether it certainly was the only motor. If not, 0x79 was not tried: all motors obey it.
         is_alone: bool,
     },
     /// More than one motor answers under this id, as those from the factory do.

@@ -27,7 +27,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
 
     /// How often bytes came that are no frame: noise, or answers that collide, such as those of two motors with one id.
     pub const fn garbled(&self) -> u32 {
-        self.line.garbled
+        self.pump.master.garbled()
     }
 
     /// Returns the port and the clock.

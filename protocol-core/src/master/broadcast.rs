@@ -34,8 +34,8 @@ pub(super) struct Broadcast {
     state: State,
     kind: Option<Kind>,
     data: Data,
-    /// The ticket of the newest request when it was put.
-    last_ticket: u32,
+    /// The number of its ticket, which nobody gets.
+    ticket: u32,
     /// The motors that are expected to answer it and have not.
     silent: MotorSet,
     /// The motors whose answer counted as lost when its time was up.
@@ -117,8 +117,8 @@ fn all_if(is_so: bool) -> MotorSet {
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
-        self.last_ticket = last_ticket;
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, ticket: u32) {
+        self.ticket = ticket;
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
@@ -136,7 +136,7 @@ impl Broadcast {
 
     /// Whether it was put after this request.
     pub(super) fn is_after(&self, ticket: u32) -> bool {
-        !is_before(self.last_ticket, ticket)
+        is_before(ticket, self.ticket)
     }
 
     pub(super) fn waits_to_move(&self) -> bool {
@@ -435,6 +435,7 @@ impl<const N: usize> Master<N> {
         if kind.may_move() {
             self.give_places(expected)?;
         }
+        self.last_ticket = self.last_ticket.wrapping_add(1);
         self.broadcast.put(kind, data, expected, self.last_ticket);
         if self.stop_to_all.is_none() {
             self.for_all = self.for_all.put_anew();

@@ -118,7 +118,8 @@ pub enum Failure {
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
     /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped
-    /// or has restarted. A move: its motor has restarted, or its caller no longer waits for the outcome.
+    /// or has restarted. A move: its motor has restarted, its caller no longer waits for the outcome, or the loop was
+    /// held up for seconds.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }

@@ -136,15 +136,17 @@ use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::opcode::Opcode;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
-use motor::{Motor, News};
+use motor::{Motor, News, is_before};
 use places::Places;
 use request::{Request, SHORTEST_TIMEOUT};
 use round_trips::RoundTrips;
 use schedule::Earliest;
 use transmit::{ForAll, Offer};
 
+/// A master at which nobody has looked for this much longer than anything waits was held up.
+const HELD_UP: Duration = Duration::from_millis(1_000);
 /// The latest point in time.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
 
@@ -229,6 +231,12 @@ pub struct Master<const N: usize> {
     last_ticket: u32,
     /// The time of the last call that gave it.
     now: Instant,
+    /// The last [`handle_timeout`](Self::handle_timeout).
+    looked_at: Instant,
+    /// The newest ticket then.
+    looked_ticket: u32,
+    /// RS485: how often bytes came that are no frame.
+    garbled: u32,
     /// Until then the time alone gives no motor anything to do.
     due: Instant,
     /// CAN: until when the frames that were sent keep the bus busy, or when one was last received. RS485: when the line
@@ -267,6 +275,9 @@ impl<const N: usize> Master<N> {
             pace: 0,
             last_ticket: 0,
             now: Instant::ZERO,
+            looked_at: Instant::ZERO,
+            looked_ticket: 0,
+            garbled: 0,
             due: Instant::ZERO,
             busy_until: Instant::ZERO,
             heard_at: Instant::ZERO,
@@ -274,8 +285,16 @@ impl<const N: usize> Master<N> {
     }
 
     /// Takes note of the time: what is overdue is sent again or given up, and what is too old is dropped.
+    ///
+    /// If this was not called for a second more than [`Config::restart_time`], the computer was suspended, or the loop
+    /// held up. Then commands from before that which a stop would refuse (moves, restarts, writes to ROM) are too old,
+    /// and not sent any more; see [`withdraw`](Self::withdraw).
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
+        if now - self.looked_at > self.config.restart_time + HELD_UP {
+            self.withdraw_up_to(self.looked_ticket);
+        }
+        (self.looked_at, self.looked_ticket) = (now, self.last_ticket);
         if self.stops_again_at().is_some_and(|at| at <= now) {
             self.stop_again();
         }
@@ -300,6 +319,22 @@ impl<const N: usize> Master<N> {
             self.due = next.0.unwrap_or(NEVER);
         }
         self.age_broadcast(now);
+    }
+
+    /// Withdraws what was put up to this ticket.
+    #[cold]
+    fn withdraw_up_to(&mut self, newest: u32) {
+        let now = self.now;
+        for place in self.places.taken.iter() {
+            self.change_at(place, |motor, config| {
+                if !is_before(newest, motor.ticket) {
+                    motor.withdraw(config, now);
+                }
+            });
+        }
+        if self.broadcast.is_waiting() && !self.broadcast.is_after(newest) {
+            self.broadcast.cancel_what_moves();
+        }
     }
 
     /// Takes note that the bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything that
@@ -329,6 +364,16 @@ impl<const N: usize> Master<N> {
     /// Its configuration, with the time-outs that hold now.
     pub const fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// RS485: how often bytes came that are no frame: noise, or answers that collide, such as those of two motors with
+    /// one id.
+    pub const fn garbled(&self) -> u32 {
+        self.garbled
+    }
+
+    pub(crate) fn note_garbled(&mut self) {
+        self.garbled = self.garbled.saturating_add(1);
     }
 
     /// How well a motor answers.

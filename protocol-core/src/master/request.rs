@@ -194,7 +194,8 @@ impl<const N: usize> Master<N> {
     /// configuration.
     ///
     /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting broadcast that
-    /// may move it. Its reply counts only once nothing that was sent before it can move the motor any more.
+    /// may move it. If it is refused because the motor is busy, what is under way there and may move it is not sent
+    /// again, and what waits is dropped. Its reply counts only once nothing that was sent before it can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`] in these cases:
@@ -258,6 +259,10 @@ impl<const N: usize> Master<N> {
             if !motor.request.is_none()
                 || motor.news.intersects(News::STOPPED | News::STOPPED_AGAIN)
             {
+                if kind.ends_motion() {
+                    // It is asked for again later. What it is to end does not go on until then.
+                    motor.drop_what_moves(Failure::Stopped, config, now);
+                }
                 return Err(RequestError::Busy);
             }
             if kind.moves() && motor.note_restart_if_silent(config, now) {
@@ -305,15 +310,10 @@ impl<const N: usize> Master<N> {
     /// When an `ask` of the [loops](crate::io) is dropped, it withdraws its request.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
-        self.change(motor, |motor, config| match &mut motor.request {
-            _ if motor.ticket != number => {}
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
-                if !asked.kind().is_refused_while_stopped() => {}
-            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
-            Request::Waiting(_) => {
-                motor.finish_request(Request::Failed(Failure::Dropped), config, now);
+        self.change(motor, |motor, config| {
+            if motor.ticket == number {
+                motor.withdraw(config, now);
             }
-            Request::None | Request::Failed(_) => {}
         });
     }
 }

@@ -1,9 +1,12 @@
 //! What was asked for by a future that is dropped.
 
+use core::pin::pin;
+
 use super::world::{TestCan, TestClock, block_on, on_can, polls};
 use super::{id, step, torque};
 use crate::command::{AbsolutePosition, ReadMultiTurnAngle, Shutdown};
-use crate::io::{AsyncCanMaster, AsyncRunner, Clock};
+use crate::error::RequestError;
+use crate::io::{AsyncCanMaster, AsyncRunner, CallError, Clock};
 use crate::master::{Event, Failure, Patience};
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
@@ -35,6 +38,31 @@ fn move_of_a_dropped_future_is_not_sent_later() {
     assert!(matches!(events[..], [Event::Failed { failure: Failure::Dropped, .. }]), "{events:?}");
     assert!(bus.sent().is_empty(), "{:?}", bus.sent());
     assert!(block_on(arm.ask(id(1), step())).is_ok());
+}
+
+/// The computer is suspended while the command waits.
+#[test]
+fn move_that_waits_through_a_suspension_is_not_sent() {
+    let (bus, clock, mut arm) = on_busy_can();
+    let mut moving = pin!(arm.ask(id(1), step()));
+    assert!(polls(moving.as_mut(), 10).is_none());
+    clock.advance(3_600_000_000);
+    let failed = CallError::Failed { motor: id(1), failure: Failure::Dropped };
+    assert_eq!(block_on(moving), Err(failed));
+    assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+}
+
+/// The same while it waits for its motor's turn.
+#[test]
+fn move_whose_turn_comes_after_a_suspension_is_not_put() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 1).is_none());
+    let mut moving = pin!(arm.ask(id(1), step()));
+    assert!(polls(moving.as_mut(), 10).is_none());
+    clock.advance(3_600_000_000);
+    let refusal = RequestError::Busy;
+    assert_eq!(block_on(moving), Err(CallError::Refused { motor: id(1), refusal }));
+    assert!(bus.sent().iter().all(|data| data[0] == 0x92), "{:?}", bus.sent());
 }
 
 #[test]

@@ -183,8 +183,21 @@ impl Motor {
         }
     }
 
+    /// What a stop would refuse is not sent from now on, for the first time or again.
+    pub(super) fn withdraw(&mut self, config: &Config, now: Instant) {
+        match &mut self.request {
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
+                if !asked.kind().is_refused_while_stopped() => {}
+            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
+            Request::Waiting(_) => {
+                self.finish_request(Request::Failed(Failure::Dropped), config, now);
+            }
+            Request::None | Request::Failed(_) => {}
+        }
+    }
+
     /// Drops what waits and would move it. A move that was sent is not sent again, whatever becomes of it.
-    fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
+    pub(super) fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
         if self.request.waiting().is_some_and(Asked::may_move) {
             self.finish_request(Request::Failed(why), config, now);

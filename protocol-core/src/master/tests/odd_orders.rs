@@ -759,3 +759,27 @@ fn frame_offered_before_a_shutdown_to_all_or_restart_is_not_sent_yet() {
     let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
     assert!(read.outcome(&event).is_some());
 }
+
+/// A caller asks for it again. Until then nothing older moves the motor.
+#[test]
+fn what_ends_motion_is_busy_and_ends_it_all_the_same() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let moving = master.request_with(id(1), torque(1.0), patient(3, 20)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(master.request(id(1), Shutdown).err(), Some(RequestError::Busy));
+    assert_eq!(sent(&mut master, ms(20)), []);
+    let reported = events(&mut master, ms(20));
+    assert!(reported.iter().any(|it| moving.outcome(it) == Some(Err(Failure::NoReply))));
+    let _ = master.request(id(1), Shutdown).unwrap();
+}
+
+#[test]
+fn set_point_that_waits_behind_a_read_is_dropped_by_what_ends_motion() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request_with(id(1), ReadStatus2, patient(1, 20)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(master.request(id(1), Shutdown).err(), Some(RequestError::Busy));
+    assert_eq!(sent(&mut master, ms(20)), []);
+    assert!(events(&mut master, ms(20)).contains(&Event::SetPointDropped { motor: id(1) }));
+}
