@@ -84,7 +84,7 @@ pub struct Config {
     pub longest_response: Duration,
     /// How long a reply may still come after its command was given up or, if a stop took its place, after the stop's
     /// time-out. Until then the motor gets no request that would have the same reply, so that the late reply cannot be
-    /// taken for its answer. It does get others.
+    /// taken for its answer. It does get others: see [there](crate::master#how-answers-find-their-questions).
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,

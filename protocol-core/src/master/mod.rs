@@ -11,7 +11,10 @@
 //! and comes no sooner than [`Config::shortest_response`].
 //!
 //! A command that was given up may still be answered. Such a reply is expected for [`Config::late_window`]. Until it
-//! has come, or can no longer come, the motor gets no request that would have the same reply. It does get others.
+//! has come, or can no longer come, the motor gets no request that would have the same reply. It does get others, unless
+//! late replies to three different questions may come: then it gets nothing but stops and commands to all, until one of
+//! the three has come or can no longer come.
+//!
 //! Likewise after a broadcast: a motor that has not answered it gets no request of that kind, and the next broadcast
 //! waits for all motors.
 //!

@@ -463,10 +463,33 @@ fn fourth_request_waits_until_the_first_given_up_cannot_be_answered() {
     }
     let _ticket = master.request(id(1), ReadMultiTurnAngle).unwrap();
     assert_eq!(sent(&mut master, ms(55)), []);
+    // A stop does not wait, nor does a command to all.
+    let mut stopped = master.clone();
+    stopped.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut stopped, ms(55)), [packet_to(1, Stop.encode())]);
+    let mut all = master.clone();
+    all.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut all, ms(55)), [packet_to_all(ReadModel.encode())]);
     // Late replies to the first may come for 40.8 ms.
     let end = Instant::from_micros(15_000 + 40_816);
     assert_eq!(master.poll_at(), Some(end));
     assert_eq!(sent(&mut master, end).len(), 1);
+}
+
+/// A second answer to the first may come for 40.8 ms.
+#[test]
+fn read_of_another_kind_and_a_set_point_go_at_once_after_a_read_that_took_two_attempts() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert_eq!(sent(&mut master, ms(21)).len(), 1, "the second attempt");
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(angle.outcome(&event).is_some());
+    let model = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(22)), [packet_to(1, ReadModel.encode())]);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(23)).unwrap();
+    assert!(model.outcome(&event).is_some());
+    master.set_point(id(1), torque(1.0), ms(23)).unwrap();
+    assert_eq!(sent(&mut master, ms(23)), [packet_to(1, torque(1.0).encode())]);
 }
 
 #[test]
