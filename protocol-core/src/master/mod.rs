@@ -64,7 +64,9 @@
 //! An answer can be wrong in these cases:
 //!
 //! - A drive answers twice, or a command reaches it twice. The second reply may be taken for that to the next request
-//!   of its kind.
+//!   of its kind, whose own reply is then left over. So a drive that answers everything twice is noticed: the replies
+//!   that are left over are each an [`Event::Stray`], counted in [`Health::stray`]. Only those that it may also have
+//!   sent unasked, such as a status, are an [`Event::Report`].
 //! - Two motors have the same id.
 //! - Another master sends the same request at the same time. On RS485 its command alone may look like the reply.
 //! - A drive reports unasked what it was also asked for: an error, or something whose report was switched off by a

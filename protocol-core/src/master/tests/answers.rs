@@ -152,6 +152,38 @@ fn second_copy_of_each_answer_is_a_stray() {
     assert!(reply(&mut master, 1, feedback, at(61_600)).unwrap().feedback().is_some());
 }
 
+/// Its second answer may be taken for that to the next question. Then the answer to that one is left over.
+#[test]
+fn drive_that_answers_everything_twice_is_noticed_however_late_its_second_answers_are() {
+    for later in [300, 600, 900, 2_000] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let (mut coming, mut asked) = (Vec::new(), None);
+        let (mut questions, mut answers, mut strays) = (0, 0, 0);
+        for now in (0..50_000).step_by(100) {
+            let at = Instant::from_micros(now);
+            for _ in coming.iter().filter(|it| **it == now) {
+                let event = reply(&mut master, 1, ANGLE_REPLY, at).unwrap();
+                let is_it = |ticket: &Ticket<_>| ticket.outcome(&event).is_some();
+                if asked.take_if(|ticket| is_it(ticket)).is_some() {
+                    answers += 1;
+                } else {
+                    assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+                    strays += 1;
+                }
+            }
+            if asked.is_none() && questions < 20 {
+                // The next question is sent as soon as this one is answered.
+                asked = Some(ask(&mut master, 1, ReadMultiTurnAngle, at));
+                questions += 1;
+                coming.extend([now + 800, now + 800 + later]);
+            }
+        }
+        // 40 answers to 20 questions.
+        assert_eq!((answers, strays), (20, 20), "{later} us");
+        assert_eq!(master.health(id(1)).stray, 20, "{later} us");
+    }
+}
+
 #[test]
 fn answers_at_the_same_instant_count_where_the_clock_is_coarse() {
     let mut master = Master::<4>::new(Config { shortest_response: Duration::ZERO, ..Config::CAN });
