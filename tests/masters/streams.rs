@@ -176,7 +176,7 @@ fn full_bus(lose: f32) -> (Vec<f64>, f64) {
 /// others use two of these, and then wait until the bus was quiet: three frames of the longest kind, or less than four
 /// of the usual ones, which are two exchanges.
 #[test]
-fn eight_streams_on_a_full_bus_get_19_of_22_exchanges_though_5_percent_of_the_feedback_is_lost() {
+fn eight_streams_that_lose_5_percent_get_19_of_22_turns_of_a_full_bus() {
     let (whole, lost) = full_bus(0.0);
     assert!(whole.iter().all(|rate| *rate >= 511.0) && lost == 0.0, "{whole:?}");
     let (feedback, lost) = full_bus(0.05);
