@@ -142,8 +142,8 @@ fn a_silent_motor_among_eight_costs_the_other_seven_nothing() {
     }
 }
 
-/// How often each of eight motors sends feedback in a second on a full bus, and how much was lost in all: a motor gets its
-/// next set-point when it has answered the last, or when that counts as unanswered.
+/// How often each of eight motors sends feedback in a second on a full bus, and how much was lost in all: a motor gets
+/// its next set-point when it has answered the last, or when that counts as unanswered.
 fn full_bus(lose: f32) -> (Vec<f64>, f64) {
     const SECONDS: f64 = 4.0;
     let mut rig = Rig::<CanBus>::new(8, 9);

@@ -11,9 +11,9 @@
 //! and comes no sooner than [`Config::shortest_response`].
 //!
 //! A command that was given up may still be answered. Such a reply is expected for [`Config::late_window`]. Until it
-//! has come, or can no longer come, the motor gets no request that would have the same reply. It does get others, unless
-//! late replies to three different questions may come: then it gets nothing but stops and commands to all, until one of
-//! the three has come or can no longer come.
+//! has come, or can no longer come, the motor gets no request that would have the same reply. It does get others,
+//! unless late replies to three different questions may come: then it gets nothing but stops and commands to all, until
+//! one of the three has come or can no longer come.
 //!
 //! Likewise after a broadcast: a motor that has not answered it gets no request of that kind, and the next broadcast
 //! waits for all motors.
@@ -106,10 +106,11 @@
 //! The others do not wait for a motor that was silent before, or that did not answer on a quiet bus. So on CAN a silent
 //! motor costs the others the time of its own commands on the bus and no more.
 //!
-//! Lost feedback of a stream costs more than its own set-point. The motor's next one waits until it counts as lost: after
-//! [`Config::longest_response`] or, if they are longer, three of the motor's usual round trips, which on a full bus are
-//! two more turns. The others wait for it as for any answer. At 1 Mbit/s eight motors that lose 5 % each get some 455
-//! answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any other reply.
+//! Lost feedback of a stream costs more than its own set-point. The motor's next one waits until it counts as lost:
+//! after [`Config::longest_response`] or, if they are longer, three of the motor's usual round trips, which on a full bus
+//! are two more turns. The others wait for it as for any answer. At 1 Mbit/s eight motors that lose 5 % each get some
+//! 455 answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any other
+//! reply.
 //!
 //! On RS485 there is one exchange at a time, and each command to a silent motor occupies the line for
 //! [`Config::reply_timeout`]. Frames that nobody asked for keep no command off the line.
