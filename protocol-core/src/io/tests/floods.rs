@@ -82,8 +82,8 @@ struct BabblingLine {
 }
 
 impl BabblingLine {
-    fn new(says: &[u8]) -> Self {
-        Self { says: says.to_vec().into_iter().cycle(), looks: Rc::default() }
+    fn new(says: Vec<u8>) -> Self {
+        Self { says: says.into_iter().cycle(), looks: Rc::default() }
     }
 }
 
@@ -171,7 +171,7 @@ fn a_bus_that_babbles_leaves_other_tasks_their_turns() {
     }
     // Reports of motor 1, and noise.
     let report = Frame::from_packet(&babble(true)).unwrap().encode();
-    for says in [report.as_slice(), &[0x55]] {
+    for says in [report.to_vec(), std::vec![0x55]] {
         let (line, config) = (BabblingLine::new(says), Config::rs485(115_200, false));
         let looks = line.looks.clone();
         let mut arm = AsyncSerialMaster::<_, _, 4>::new(line, TestClock::default(), config);
