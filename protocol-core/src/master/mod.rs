@@ -109,8 +109,8 @@
 //! Lost feedback of a stream costs more than its own set-point. The motor's next one waits until it counts as lost:
 //! after [`Config::longest_response`] or, if they are longer, three of the motor's usual round trips. On a full bus
 //! these are two more turns. The others wait for it as for any answer. At 1 Mbit/s eight motors that lose 5 % each get
-//! some 455 answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any other
-//! reply.
+//! some 455 answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any
+//! other reply.
 //!
 //! On RS485 there is one exchange at a time, and each command to a silent motor occupies the line for
 //! [`Config::reply_timeout`]. Frames that nobody asked for keep no command off the line.
