@@ -1,7 +1,7 @@
 //! Streams of set-points and the safe stop. An old frame would be dangerous there.
 
 use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
-use myactuator_host_std::sim::bus::faults::FaultPlan;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
@@ -140,6 +140,52 @@ fn a_silent_motor_among_eight_costs_the_other_seven_nothing() {
         // At 500 Hz nothing is missed, with the silent motor or without it.
         assert_eq!((all[motor], seven[motor]), (500, 500), "motor {}", motor + 1);
     }
+}
+
+/// How often each of eight motors sends feedback in a second on a full bus, and how much was lost in all: a motor gets
+/// its next set-point when it has answered the last, or when that counts as unanswered.
+fn full_bus(lose: f32) -> (Vec<f64>, f64) {
+    const SECONDS: f64 = 4.0;
+    let mut rig = Rig::<CanBus>::new(8, 9);
+    rig.world.set_faults(Direction::ToPorts, FaultPlan { lose, ..FaultPlan::NONE });
+    rig.put_all(1);
+    let end = rig.world.now() + Duration::from_micros((SECONDS * 1e6) as u64);
+    let mut feedback = vec![0.0; 8];
+    let mut number = 1;
+    while rig.world.now() < end {
+        let motor = match rig.runner.poll().expect("the bus works") {
+            Some(Event::Feedback { motor, .. }) => {
+                feedback[motor.index()] += 1.0 / SECONDS;
+                motor
+            }
+            Some(Event::SetPointUnanswered { motor }) => motor,
+            Some(other) => panic!("{other:?}"),
+            None => {
+                rig.runner.idle(end);
+                continue;
+            }
+        };
+        number += 1;
+        rig.put(motor, number).expect("there is a place");
+    }
+    let lost: u64 = rig.ledger.pages().iter().map(|page| page.replies_lost).sum();
+    (feedback, lost as f64 / SECONDS)
+}
+
+/// Lost feedback counts as lost after three usual round trips, which on a full bus are three turns of its motor. The
+/// others use two of these, and then wait until the bus was quiet: three frames of the longest kind, or less than four
+/// of the usual ones, which are two exchanges.
+#[test]
+fn eight_streams_that_lose_5_percent_get_19_of_22_turns_of_a_full_bus() {
+    let (whole, lost) = full_bus(0.0);
+    assert!(whole.iter().all(|rate| *rate >= 511.0) && lost == 0.0, "{whole:?}");
+    let (feedback, lost) = full_bus(0.05);
+    let sum: f64 = feedback.iter().sum();
+    assert!(lost >= 0.045 * (sum + lost), "{lost} lost");
+    // Of 20 exchanges one is lost. It costs its own time and that of two more.
+    assert!(sum >= 8.0 * 511.0 * 19.0 / 22.0, "{feedback:?}");
+    // While a motor loses one exchange, eight are lost: three turns, and eight times a quarter of a turn.
+    assert!(feedback.iter().all(|rate| *rate >= 511.0 * 19.0 / 24.0), "{feedback:?}");
 }
 
 /// How many of eight motors do not confirm a stop on a bus that loses every other frame.

@@ -80,11 +80,11 @@ pub struct Config {
     ///
     /// On CAN the others [wait](crate::master#how-the-bus-is-shared) for a motor that may still be waiting to answer:
     /// until this time is over and the bus was quiet. On either bus, feedback of a stream counts as lost no sooner than
-    /// this.
+    /// this, nor sooner than three of the motor's usual round trips.
     pub longest_response: Duration,
     /// How long a reply may still come after its command was given up or, if a stop took its place, after the stop's
     /// time-out. Until then the motor gets no request that would have the same reply, so that the late reply cannot be
-    /// taken for its answer. It does get others.
+    /// taken for its answer. It does get others: see [there](crate::master#how-answers-find-their-questions).
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,

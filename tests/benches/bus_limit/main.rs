@@ -45,10 +45,10 @@
 //!   to 8 motors this bound is up to a fifth above the other two.
 //!
 //! Loss: each frame is lost with a probability of 1 % and has used the wire in vain. A lost frame may cost its own
-//! exchange and no more, so the bound of a motor is the time of its answers plus that of its lost frames. A stream of
-//! set-points should reach that bound. A repeated request cannot: it waits for `Config::reply_timeout`, and keeps the
-//! next request of its kind back for `Config::late_window`, so that no answer goes to the wrong request. It has
-//! ceilings instead.
+//! exchange and no more, so the bound of a motor is the time of its answers plus that of its lost frames. Neither a
+//! stream of set-points nor a repeated request reaches that bound, so both have ceilings. Lost feedback is waited for
+//! until it cannot be expected any more. A request waits for `Config::reply_timeout`, and keeps the next request of its
+//! kind back for `Config::late_window`, so that no answer goes to the wrong request.
 //!
 //! # One at a time
 //! The one-at-a-time master asks a motor, waits for its reply and goes on to the next.

@@ -34,6 +34,15 @@ const UNTOLD: Adapter = Adapter {
     depth: 20,
 };
 
+/// Nobody is there: whatever comes back is an echo.
+const NOBODY: Adapter = Adapter {
+    name: "an echo that nobody told of, and no motor",
+    is_there: [false, false],
+    calls: &[Angle(0), Status(0), Status(1), Stop(1)],
+    faults: &[Deaf, CutShort, Lose, Harm, Late, ReadFails, Halt, HaltAndHold],
+    ..UNTOLD
+};
+
 const TOLD: Adapter = Adapter { name: "an echo that was told of", is_told: true, ..UNTOLD };
 
 const QUIET: Adapter = Adapter {
@@ -89,6 +98,7 @@ fn run(adapter: &'static Adapter) {
 #[test]
 fn an_echo_passes_for_no_answer_and_no_answer_for_an_echo() {
     run(&UNTOLD);
+    run(&NOBODY);
     run(&TOLD);
     run(&QUIET);
     run(&NOISE);

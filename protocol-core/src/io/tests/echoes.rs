@@ -5,7 +5,7 @@ use std::vec::Vec;
 use super::world::{TestClock, TestSerial};
 use super::{id, torque};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
-use crate::io::{Runner, SerialMaster};
+use crate::io::{Runner, SerialMaster, bring_up};
 use crate::master::{Config, Event, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
@@ -295,6 +295,21 @@ fn half_taken_reads_do_not_show_an_adapter_without_echo() {
     (port.state().at_most, port.state().fails_after) = (0, None);
     port.state().is_cut = false;
     assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
+}
+
+#[test]
+fn scan_finds_no_motor_in_its_own_echo() {
+    let config = UNCONFIGURED.adapting_up_to(Duration::from_millis(40));
+    // Of these motors only motor 1 is there.
+    for there in [MotorSet::EMPTY, id(1).into()] {
+        for hands_over_every in [0, 1_000, 16_000] {
+            let (port, mut arm) = quiet(config);
+            (port.state().echoes, port.state().hands_over_every) = (true, hands_over_every);
+            let candidates = (9..=32).map(id).collect::<MotorSet>().with(there);
+            let found = bring_up::scan(&mut arm, candidates, |_, _| {});
+            assert_eq!(found, Ok(there), "in bursts of {hands_over_every} us");
+        }
+    }
 }
 
 #[test]

@@ -2,13 +2,14 @@
 
 use core::cell::{Cell, RefCell};
 use core::future::poll_fn;
+use core::iter::Cycle;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::Wake;
-use std::vec::Vec;
+use std::vec::{IntoIter, Vec};
 
 use embedded_can::nb;
 
@@ -74,6 +75,41 @@ impl AsyncCan for Babbling {
     }
 }
 
+/// A line on which the same bytes come again and again, and never wait.
+struct BabblingLine {
+    says: Cycle<IntoIter<u8>>,
+    looks: Rc<Cell<usize>>,
+}
+
+impl BabblingLine {
+    fn new(says: Vec<u8>) -> Self {
+        Self { says: says.into_iter().cycle(), looks: Rc::default() }
+    }
+}
+
+impl embedded_io::ErrorType for BabblingLine {
+    type Error = Broken;
+}
+
+impl embedded_io_async::Read for BabblingLine {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
+        self.looks.set(self.looks.get() + 1);
+        assert!(self.looks.get() < 10_000, "it leaves nobody else a turn");
+        buf.iter_mut().zip(&mut self.says).for_each(|(place, byte)| *place = byte);
+        Ok(buf.len())
+    }
+}
+
+impl embedded_io_async::Write for BabblingLine {
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        Ok(buf.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), Broken> {
+        Ok(())
+    }
+}
+
 /// How many rounds it takes until the stop has left.
 const ROUNDS: usize = 65;
 
@@ -132,6 +168,16 @@ fn a_bus_that_babbles_leaves_other_tasks_their_turns() {
         let asked = polls(arm.ask(id(2), ReadMultiTurnAngle), 100);
         assert!(asked.is_none(), "{asked:?}");
         assert!(bus.looks.get() >= 100, "and it is looked at all the time");
+    }
+    // Reports of motor 1, and noise.
+    let report = Frame::from_packet(&babble(true)).unwrap().encode();
+    for says in [report.to_vec(), std::vec![0x55]] {
+        let (line, config) = (BabblingLine::new(says), Config::rs485(115_200, false));
+        let looks = line.looks.clone();
+        let mut arm = AsyncSerialMaster::<_, _, 4>::new(line, TestClock::default(), config);
+        let asked = polls(arm.ask(id(2), ReadMultiTurnAngle), 100);
+        assert!(asked.is_none(), "{asked:?}");
+        assert!(looks.get() >= 100, "and it is looked at all the time");
     }
 }
 

@@ -152,6 +152,38 @@ fn second_copy_of_each_answer_is_a_stray() {
     assert!(reply(&mut master, 1, feedback, at(61_600)).unwrap().feedback().is_some());
 }
 
+/// Its second answer may be taken for that to the next question. Then the answer to that one is left over.
+#[test]
+fn drive_that_answers_everything_twice_is_noticed_however_late_its_second_answers_are() {
+    for later in [300, 600, 900, 2_000] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let (mut coming, mut asked) = (Vec::new(), None);
+        let (mut questions, mut answers, mut strays) = (0, 0, 0);
+        for now in (0..50_000).step_by(100) {
+            let at = Instant::from_micros(now);
+            for _ in coming.iter().filter(|it| **it == now) {
+                let event = reply(&mut master, 1, ANGLE_REPLY, at).unwrap();
+                let is_it = |ticket: &Ticket<_>| ticket.outcome(&event).is_some();
+                if asked.take_if(|ticket| is_it(ticket)).is_some() {
+                    answers += 1;
+                } else {
+                    assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+                    strays += 1;
+                }
+            }
+            if asked.is_none() && questions < 20 {
+                // The next question is sent as soon as this one is answered.
+                asked = Some(ask(&mut master, 1, ReadMultiTurnAngle, at));
+                questions += 1;
+                coming.extend([now + 800, now + 800 + later]);
+            }
+        }
+        // 40 answers to 20 questions.
+        assert_eq!((answers, strays), (20, 20), "{later} us");
+        assert_eq!(master.health(id(1)).stray, 20, "{later} us");
+    }
+}
+
 #[test]
 fn answers_at_the_same_instant_count_where_the_clock_is_coarse() {
     let mut master = Master::<4>::new(Config { shortest_response: Duration::ZERO, ..Config::CAN });
@@ -463,10 +495,33 @@ fn fourth_request_waits_until_the_first_given_up_cannot_be_answered() {
     }
     let _ticket = master.request(id(1), ReadMultiTurnAngle).unwrap();
     assert_eq!(sent(&mut master, ms(55)), []);
+    // A stop does not wait, nor does a command to all.
+    let mut stopped = master.clone();
+    stopped.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut stopped, ms(55)), [packet_to(1, Stop.encode())]);
+    let mut all = master.clone();
+    all.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut all, ms(55)), [packet_to_all(ReadModel.encode())]);
     // Late replies to the first may come for 40.8 ms.
     let end = Instant::from_micros(15_000 + 40_816);
     assert_eq!(master.poll_at(), Some(end));
     assert_eq!(sent(&mut master, end).len(), 1);
+}
+
+/// A second answer to the first may come for 40.8 ms.
+#[test]
+fn read_of_another_kind_and_a_set_point_go_at_once_after_a_read_that_took_two_attempts() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert_eq!(sent(&mut master, ms(21)).len(), 1, "the second attempt");
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(angle.outcome(&event).is_some());
+    let model = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(22)), [packet_to(1, ReadModel.encode())]);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(23)).unwrap();
+    assert!(model.outcome(&event).is_some());
+    master.set_point(id(1), torque(1.0), ms(23)).unwrap();
+    assert_eq!(sent(&mut master, ms(23)), [packet_to(1, torque(1.0).encode())]);
 }
 
 #[test]

@@ -406,6 +406,21 @@ fn broadcast_counts_as_answered_or_lost_for_each_expected_motor() {
     assert_eq!(counts(&master, 2), (1, 1), "too late");
 }
 
+#[test]
+fn silent_motor_is_present_once_it_answers_a_broadcast() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    for attempt in 1..=3 {
+        sent(&mut master, ms(21 * attempt));
+    }
+    assert_eq!(master.health(id(1)).presence, Presence::Silent);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(64)), [packet_to_all(ReadMultiTurnAngle.encode())]);
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(65));
+    assert!(matches!(event, Some(Event::BroadcastReply { .. })), "{event:?}");
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+}
+
 /// The feedback begins with the motor's id, 0x20, which is also the byte of the broadcast command.
 #[test]
 fn motion_feedback_does_not_answer_a_broadcast_whatever_its_id_byte() {

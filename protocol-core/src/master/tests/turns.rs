@@ -395,13 +395,13 @@ fn silent_motor_holds_others_up_only_until_it_could_have_answered() {
     assert_eq!(held_at, [3, 21, 22]);
 }
 
-/// Motor 2 has answered once, and motor 1 has had 300 turns since. Also what time it is.
-fn with_one_that_rested() -> (Master<2>, Instant) {
+/// Motor 2 has answered once, and motor 1 has had this many turns since. Also what time it is.
+fn with_one_that_rested(turns: u32) -> (Master<2>, Instant) {
     let mut master = Master::<2>::new(Config::CAN);
     let mut now = ms(0);
     let _ = ask(&mut master, 2, ReadModel, now);
     reply(&mut master, 2, *b"\xB5X8S2V10", ms(1)).unwrap();
-    for _ in 0..300 {
+    for _ in 0..turns {
         now += Duration::from_millis(1);
         master.set_point(id(1), torque(1.0), now).unwrap();
         sent(&mut master, now);
@@ -413,10 +413,14 @@ fn with_one_that_rested() -> (Master<2>, Instant) {
 
 #[test]
 fn a_motor_that_rested_for_long_does_not_starve() {
-    let (mut master, now) = with_one_that_rested();
-    master.set_point(id(1), torque(1.0), now).unwrap();
-    let _read = master.request(id(2), ReadModel).unwrap();
-    assert_eq!(sent(&mut master, now).len(), 2);
+    // In rounds of eight bits, motor 2 would seem to be ahead after 129 to 255.
+    for turns in [130, 200, 255, 300] {
+        let (mut master, now) = with_one_that_rested(turns);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        let _read = master.request(id(2), ReadModel).unwrap();
+        let order = [packet_to(2, ReadModel.encode()), packet_to(1, torque(1.0).encode())];
+        assert_eq!(sent(&mut master, now), order, "after {turns}");
+    }
 }
 
 #[test]
@@ -490,7 +494,7 @@ fn motor_whose_request_must_wait_keeps_no_turn_from_others() {
 
 #[test]
 fn stream_that_rested_has_no_claim_to_missed_turns() {
-    let (mut master, now) = with_one_that_rested();
+    let (mut master, now) = with_one_that_rested(300);
     for motor in 1..=2 {
         master.set_point(id(motor), torque(1.0), now).unwrap();
     }
