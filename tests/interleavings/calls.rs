@@ -28,8 +28,8 @@ use myactuator_protocol_core::wire::rs485::Frame;
 use myactuator_protocol_core::{Channel, Command, Data, Kind, MotorId, Packet, Target};
 use myactuator_tests::dice::any_data;
 use proptest::prelude::*;
-use proptest::test_runner::{Config as Cases, RngSeed};
 
+use super::longer::same_runs;
 use super::oracle::check_poll_at;
 
 /// Fewer places than motors.
@@ -524,12 +524,7 @@ fn calls() -> impl Strategy<Value = Vec<Call>> {
 }
 
 proptest! {
-    #![proptest_config(Cases {
-        cases: 500,
-        failure_persistence: None,
-        rng_seed: RngSeed::Fixed(1),
-        ..Cases::default()
-    })]
+    #![proptest_config(same_runs())]
 
     #[test]
     fn any_calls_on_can(calls in calls()) {

@@ -86,13 +86,20 @@ fn choices() -> impl Strategy<Value = Vec<(Sort, Index)>> {
     prop::collection::vec((any_sort(), any::<Index>()), 50..400)
 }
 
-proptest! {
-    #![proptest_config(Config {
-        cases: 500,
+/// The same runs each time, unless `PROPTEST_CASES` or `PROPTEST_RNG_SEED` asks for others.
+pub(super) fn same_runs() -> Config {
+    let given = Config::default();
+    let is_given = |name| std::env::var_os(name).is_some();
+    Config {
+        cases: if is_given("PROPTEST_CASES") { given.cases } else { 500 },
+        rng_seed: if is_given("PROPTEST_RNG_SEED") { given.rng_seed } else { RngSeed::Fixed(1) },
         failure_persistence: None,
-        rng_seed: RngSeed::Fixed(1),
-        ..Config::default()
-    })]
+        ..given
+    }
+}
+
+proptest! {
+    #![proptest_config(same_runs())]
 
     #[test]
     fn one_motor_by_chance(choices in choices()) {
@@ -102,5 +109,15 @@ proptest! {
     #[test]
     fn two_motors_by_chance(choices in choices()) {
         run::<2>(&crate::TWO, &choices)?;
+    }
+
+    #[test]
+    fn a_cut_bus_by_chance(choices in choices()) {
+        run::<1>(&crate::CUT_FOR_LONG, &choices)?;
+    }
+
+    #[test]
+    fn a_line_by_chance(choices in choices()) {
+        run::<1>(&crate::LINE, &choices)?;
     }
 }

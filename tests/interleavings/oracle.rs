@@ -66,7 +66,7 @@ impl<const N: usize> State<N> {
                 let open = self.close(motor, |open| open.ticket == ticket)?;
                 self.check_answer(&open.data, &data)?;
                 match data[0] {
-                    0x80 => self.check_heard(motor, call_of_data(&open.data)),
+                    0x80 | 0x81 => self.check_heard(motor, call_of_data(&open.data)),
                     _ => Ok(()),
                 }
             }

@@ -237,7 +237,8 @@ fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
 fn an_id_is_not_written_to_motors_that_are_not_understood<W: Wire>() {
     let silent = Quirks { silent_id_change: true, ..Quirks::default() };
     let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number)))).quirks(silent);
-    let bus = W::drives(&fleet).unwrap();
+    // At the same time.
+    let bus = W::drives(&fleet.response(millis(1), millis(1))).unwrap();
     let not_taken = bring_up::change_id(&mut master(&bus), id(3), id(9));
     let expected = BringUpError::IdNotTaken { from: id(3), to: id(9), is_alone: false };
     assert_eq!(not_taken, Err(expected));

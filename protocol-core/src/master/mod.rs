@@ -40,7 +40,10 @@
 //! # What can still go wrong
 //! Two facts cannot be changed from this side of the wire. A reply names the motor, the command and the index, but not
 //! which of two equal commands it answers. And a frame that a controller, an adapter or the bus still holds cannot be
-//! taken back. No master can prevent what follows from them:
+//! taken back. No master can prevent what follows from them. Where frames are held back longer than the windows of the
+//! [`Config`], swapped, doubled or echoed, or where two motors or two masters pass for one, an answer may be wrong, and
+//! a stop may be confirmed before something older moves the motor. Where nothing arrives, nothing can be confirmed. In
+//! detail:
 //!
 //! ## A frame is held back for longer than the late window
 //! An answer can be wrong, or a move can arrive after its stop was confirmed.

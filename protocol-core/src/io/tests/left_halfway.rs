@@ -57,11 +57,10 @@ fn move_that_waits_through_a_suspension_is_not_sent() {
 fn move_whose_turn_comes_after_a_suspension_is_not_put() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 1).is_none());
-    let mut moving = pin!(arm.ask(id(1), step()));
-    assert!(polls(moving.as_mut(), 10).is_none());
-    clock.advance(3_600_000_000);
+    // The event is that answer.
+    let moved = block_on(arm.ask_with(id(1), step(), None, |_| clock.advance(3_600_000_000)));
     let refusal = RequestError::Busy;
-    assert_eq!(block_on(moving), Err(CallError::Refused { motor: id(1), refusal }));
+    assert_eq!(moved, Err(CallError::Refused { motor: id(1), refusal }));
     assert!(bus.sent().iter().all(|data| data[0] == 0x92), "{:?}", bus.sent());
 }
 
