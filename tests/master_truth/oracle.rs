@@ -290,7 +290,9 @@ impl Oracle {
             }
             // The command was dropped. If it may be repeated, only its last attempt was dropped.
             Failure::BusDown => {
-                of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
+                let byte = open.data[0];
+                let may_be = of.taken == 0 || is_repeated(byte) || has_no_token(byte);
+                may_be && (truth.failed > of.put || truth.failure_is_kept)
             }
             // A move that was put before its motor's restart was reported, or before nobody looked for an hour.
             Failure::Dropped => {

@@ -180,6 +180,8 @@ pub(crate) struct Truth {
     pub(super) stop_to_all: StopToAll,
     /// How often the port has failed or refused.
     pub(crate) failures: u64,
+    /// When it last did, or took nothing.
+    pub(super) failed: u64,
     /// When no caller had looked for an hour last.
     pub(super) held_up: u64,
     /// The port has failed, and a dropped task may have kept the failure for its next round. Commands that are put
@@ -241,6 +243,7 @@ impl Book {
             offers: Offers::new(config),
             stop_to_all: StopToAll::default(),
             failures: 0,
+            failed: 0,
             held_up: 0,
             failure_is_kept: false,
             clocks: Clocks::default(),
@@ -387,7 +390,7 @@ impl Truth {
     pub(crate) fn port_has_failed(&mut self) {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
         self.command_to_all_may_be_dropped();
-        self.failures += 1;
+        (self.failures, self.failed) = (self.failures + 1, self.next_moment());
         self.doubt.port_has_failed();
     }
 
@@ -405,6 +408,7 @@ impl Truth {
 
     /// The port is full. If that lasts, the bus has failed.
     pub(crate) fn port_is_full(&mut self) {
+        self.failed = self.next_moment();
         if self.world - self.bus_took_at > STUCK_AFTER {
             self.bus_has_failed();
         }
