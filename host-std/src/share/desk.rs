@@ -14,7 +14,7 @@ use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Told, Untyped, Waiting};
-use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
+use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::{Wake, since_boot};
 
@@ -84,7 +84,6 @@ impl<E> Desk<E> {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
         state.check(motor, command.kind, since)?;
-        state.note_motion(motor, command.kind);
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
@@ -283,11 +282,15 @@ impl<E> Desk<E> {
             if question.asker.strong_count() == 0 && !question.command.kind.ends_motion() {
                 continue;
             }
-            let motor = question.motor;
-            let left = if busy.contains(motor) { Some(question) } else { clerk.put(question) };
-            if let Some(question) = left {
-                busy.insert(motor);
-                state.questions.push_back(question);
+            let (motor, kind) = (question.motor, question.command.kind);
+            let is_busy = busy.contains(motor);
+            match if is_busy { Put::Waits(question) } else { clerk.put(question) } {
+                Put::Accepted => state.note_motion(motor, kind),
+                Put::Refused => {}
+                Put::Waits(question) => {
+                    busy.insert(motor);
+                    state.questions.push_back(question);
+                }
             }
         }
         state.hand_over_set_points(clerk);

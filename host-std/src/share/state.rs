@@ -103,6 +103,17 @@ pub(super) struct State<E> {
     pub(super) is_idle: bool,
 }
 
+/// What becomes of a question that is put.
+#[derive(Debug)]
+pub(super) enum Put<E> {
+    /// The master has it.
+    Accepted,
+    /// The master refuses it, and its caller has been told.
+    Refused,
+    /// Its motor is busy.
+    Waits(Question<E>),
+}
+
 /// Takes up what is on the desk.
 pub(super) trait Clerk<E> {
     fn obey(&mut self, order: Order<E>);
@@ -119,8 +130,8 @@ pub(super) trait Clerk<E> {
     /// started.
     fn found_at(&self, laid_at: Duration) -> time::Instant;
 
-    /// Puts a question; returns it if it has to wait.
-    fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
+    /// Puts a question.
+    fn put(&mut self, question: Question<E>) -> Put<E>;
 }
 
 impl<E> State<E> {
@@ -177,7 +188,7 @@ impl<E> State<E> {
         Ok(())
     }
 
-    /// Takes note of a question that is laid down, or of a set-point that the master has accepted.
+    /// Takes note of a command that the master has accepted.
     pub(super) fn note_motion(&mut self, motor: MotorId, kind: Kind) {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
