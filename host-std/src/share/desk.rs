@@ -41,6 +41,21 @@ impl<E> Drop for Moving<'_, E> {
     }
 }
 
+/// A motor whose brake one call opens. Until this is dropped, questions to the motor wait, except those that open its
+/// brake or end motion.
+pub(super) struct Opening<'a, E> {
+    desk: &'a Desk<E>,
+    motor: MotorId,
+}
+
+impl<E> Drop for Opening<'_, E> {
+    fn drop(&mut self) {
+        let mut state = self.desk.lock();
+        state.opening[self.motor.index()] -= 1;
+        self.desk.leave(state);
+    }
+}
+
 impl<E> Desk<E> {
     pub(super) fn new(wake: Option<Wake>) -> Self {
         Self { state: Mutex::new(State::new()), changed: Condvar::new(), wake }
@@ -160,6 +175,12 @@ impl<E> Desk<E> {
         let is_free = !state.moving.contains(motor);
         state.moving.insert(motor);
         is_free.then(|| Moving { desk: self, motor })
+    }
+
+    /// A call is going to open this motor's brake.
+    pub(super) fn begin_opening(&self, motor: MotorId) -> Opening<'_, E> {
+        self.lock().opening[motor.index()] += 1;
+        Opening { desk: self, motor }
     }
 
     /// Waits until `until`, on the clock of the bus. The answer is the time then.
@@ -283,6 +304,10 @@ impl<E> Desk<E> {
                 continue;
             }
             let (motor, kind) = (question.motor, question.command.kind);
+            if state.waits_for_hold(motor, kind) {
+                state.questions.push_back(question);
+                continue;
+            }
             let is_busy = busy.contains(motor);
             match if is_busy { Put::Waits(question) } else { clerk.put(question) } {
                 Put::Accepted => state.note_motion(motor, kind),

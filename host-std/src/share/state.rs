@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::{Kind, MotorId, time};
+use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
@@ -88,6 +88,8 @@ pub(super) struct State<E> {
     restarted: MotorSet,
     /// These are being moved, each by one call.
     pub(super) moving: MotorSet,
+    /// How many calls open each motor's brake and have not told the motor to hold yet.
+    pub(super) opening: [u32; MotorId::COUNT],
     /// The error of the bus's last round, if that failed.
     pub(super) outage: Option<Arc<E>>,
     /// An error that no caller has got yet.
@@ -147,6 +149,7 @@ impl<E> State<E> {
             past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             moving: MotorSet::EMPTY,
+            opening: [0; MotorId::COUNT],
             outage: None,
             error: None,
             subscribers: Vec::new(),
@@ -231,6 +234,13 @@ impl<E> State<E> {
             false if self.has_restarted_since(motor, Some(since)) => Err(RequestError::Restarted),
             false => Ok(()),
         }
+    }
+
+    /// Whether a question waits until a motor whose brake opens has been told to hold: its answer, if it is late, would
+    /// keep that from being sent while the load falls.
+    pub(super) fn waits_for_hold(&self, motor: MotorId, kind: Kind) -> bool {
+        let is_opening = self.opening[motor.index()] > 0;
+        is_opening && !kind.ends_motion() && kind != Opcode::ReleaseBrake.into()
     }
 
     /// Hands the clerk the orders.

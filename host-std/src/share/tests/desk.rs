@@ -169,6 +169,30 @@ fn commands_that_end_motion_go_first_and_drop_waiting_moves() {
     assert!(newer.is_ok());
 }
 
+/// Two calls open the brake of motor 1.
+#[test]
+fn questions_wait_while_a_brake_opens_except_those_that_open_it_or_end_motion() {
+    let desk = new_desk();
+    let put = || {
+        let mut notes = Notes { takes_questions: true, ..Notes::default() };
+        assert!(desk.take(&mut notes));
+        notes.bytes
+    };
+    let _reading = [1, 2].map(|motor| ask(&desk, motor, ReadStatus1));
+    let opening = [id(1); 2].map(|motor| desk.begin_opening(motor));
+    let _opened = ask(&desk, 1, ReleaseBrake);
+    assert_eq!(put(), [(2, 0x9A), (1, 0x77)]);
+    let _held = ask(&desk, 1, Stop);
+    assert_eq!(put(), [(1, 0x81)]);
+    let [first, last] = opening;
+    drop(first);
+    assert_eq!(put(), []);
+    assert!(desk.may_idle());
+    drop(last);
+    assert!(!desk.may_idle(), "there is news");
+    assert_eq!(put(), [(1, 0x9A)]);
+}
+
 #[test]
 fn older_command_that_ends_motion_otherwise_does_not_follow_a_stop() {
     // A motor that was switched off would be switched on, and one that is held let go.
