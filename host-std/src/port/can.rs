@@ -100,6 +100,17 @@ impl SocketCan {
         why
     }
 
+    /// Returns what an error of the kernel means for a frame that was to be sent.
+    fn not_sent(&mut self, error: io::Error) -> nb::Error<PortError> {
+        let errno = errno(&error);
+        self.backlog.set(errno == Some(Errno::AGAIN));
+        match errno {
+            // The socket's own buffer is full, or the interface's queue, which other programs fill as well.
+            Some(Errno::AGAIN | Errno::NOBUFS) => nb::Error::WouldBlock,
+            _ => self.failed(error).into(),
+        }
+    }
+
     fn note(&mut self, report: ErrorCause) {
         match verdict(report, &self.interface) {
             Some(Err(why)) => self.outage.begin(why),
@@ -121,14 +132,10 @@ impl Can for SocketCan {
 
     fn transmit(&mut self, frame: &CanFrame) -> nb::Result<Option<CanFrame>, PortError> {
         self.outage.admit(frame)?;
-        let sent = self.socket.write_frame(frame);
-        let error = sent.as_ref().err().and_then(errno);
-        self.backlog.set(error == Some(Errno::AGAIN));
-        match (sent, error) {
-            (Ok(()), _) => Ok(None),
-            // The socket's own buffer is full, or the interface's queue, which other programs fill as well.
-            (Err(_), Some(Errno::AGAIN | Errno::NOBUFS)) => Err(nb::Error::WouldBlock),
-            (Err(error), _) => Err(self.failed(error).into()),
+        self.backlog.set(false);
+        match self.socket.write_frame(frame) {
+            Ok(()) => Ok(None),
+            Err(error) => Err(self.not_sent(error)),
         }
     }
 
@@ -299,6 +306,31 @@ mod tests {
         other.send(&from_kernel(0x241)).unwrap();
         assert_eq!(can.receive().unwrap().id(), StandardId::new(0x241).unwrap().into());
         can.transmit(&torque).unwrap();
+    }
+
+    /// The socket itself has room, so waiting for that would end at once.
+    #[test]
+    fn full_queue_of_the_interface_is_no_outage_and_is_not_waited_for() {
+        let (mut can, _other) = made();
+        assert!(matches!(can.not_sent(Errno::NOBUFS.into()), nb::Error::WouldBlock));
+        let clock = can.clock().unwrap();
+        let begun = clock.now();
+        clock.idle(begun + MOMENT);
+        assert!(clock.now() - begun >= MOMENT);
+        let [torque] = frames([0xA1]);
+        can.transmit(&torque).unwrap();
+    }
+
+    #[test]
+    fn receive_returns_during_a_flood_of_error_reports() {
+        let (mut can, other) = made();
+        for _ in 0..READS_A_CALL {
+            // Lost arbitration.
+            other.send(&from_kernel(0x2000_0002)).unwrap();
+        }
+        other.send(&from_kernel(0x241)).unwrap();
+        assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+        can.receive().unwrap();
     }
 
     /// The kernel reports once that an interface was taken down, to the first call that sends or receives. Here the

@@ -9,7 +9,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Where the kernel has a folder for each USB serial adapter.
-const ADAPTERS: &str = "/sys/bus/usb-serial/devices";
+pub(super) const ADAPTERS: &str = "/sys/bus/usb-serial/devices";
 /// The shortest that drivers take, ms.
 const SHORTEST_MS: u64 = 1;
 
@@ -43,8 +43,8 @@ impl fmt::Display for SlowAdapter {
 
 /// Makes the adapter of this serial port hand over what it has received as soon as it can, if its
 /// driver has a timer for that and the user may set it.
-pub(super) fn shorten(port: &Path) {
-    if let Some(slow) = SlowAdapter::at(port) {
+pub(super) fn shorten(adapters: &Path, port: &Path) {
+    if let Some(slow) = Timer::of(adapters, port).and_then(Timer::too_long) {
         slow.timer.shorten();
     }
 }
@@ -124,6 +124,6 @@ mod tests {
         assert!(!made.timer.exists(), "nothing is made that no driver has");
         assert_eq!(Timer::of(&made.adapters, &made.port), None);
         assert_eq!(SlowAdapter::at(Path::new("/dev/null")), None);
-        shorten(Path::new("/dev/there-is-no-such-port"));
+        shorten(&made.adapters, Path::new("/dev/there-is-no-such-port"));
     }
 }

@@ -67,6 +67,21 @@ impl Rs485 {
             Err(error) => error,
         }
     }
+
+    /// Writes what has waited since `begun`; time since the machine started.
+    fn write_begun(&self, begun: Duration, buf: &[u8]) -> Result<usize, PortError> {
+        loop {
+            let written = self.tty.write(buf)?;
+            if written > 0 {
+                return Ok(written);
+            }
+            let has_room = self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))?;
+            // If the program or the machine was suspended meanwhile, the room may come late.
+            if !has_room || since_boot().saturating_sub(begun) > LONGEST_STALL {
+                return Err(self.stalled());
+            }
+        }
+    }
 }
 
 impl AsFd for Rs485 {
@@ -116,18 +131,7 @@ impl Write for Rs485 {
         if !self.drain.is_over() {
             return Err(self.stalled());
         }
-        let begun = since_boot();
-        loop {
-            let written = self.tty.write(buf)?;
-            if written > 0 {
-                return Ok(written);
-            }
-            let has_room = self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))?;
-            // If the program or the machine was suspended meanwhile, the room may come late.
-            if !has_room || since_boot().saturating_sub(begun) > LONGEST_STALL {
-                return Err(self.stalled());
-            }
-        }
+        self.write_begun(since_boot(), buf)
     }
 
     fn flush(&mut self) -> Result<(), PortError> {
@@ -174,6 +178,27 @@ mod tests {
         let mut heard = [0; 8];
         std::io::Read::read_exact(&mut line, &mut heard).unwrap();
         assert_eq!(&heard, b"stopread");
+    }
+
+    #[test]
+    fn room_that_comes_after_a_suspension_takes_nothing_stale() {
+        let (mut line, path) = line();
+        let port = Rs485::open(path, 115_200).unwrap();
+        let fill = || while port.tty.write(&[0; 256]).unwrap() > 0 {};
+        fill();
+        // The terminal passes some of it on, and has room once more.
+        std::thread::sleep(Duration::from_millis(50));
+        fill();
+        let device = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(20));
+            let mut heard = [0; 4_096];
+            std::iter::from_fn(|| std::io::Read::read(&mut line, &mut heard).ok()).count()
+        });
+        let begun = since_boot() - 2 * LONGEST_STALL;
+        let error = port.write_begun(begun, b"move").unwrap_err();
+        assert!(matches!(error, PortError::Stalled(_)), "{error}");
+        drop(port);
+        device.join().unwrap();
     }
 
     /// The device's end of a line, and the path of the serial port.

@@ -26,6 +26,11 @@ pub(super) struct Tty {
 impl Tty {
     /// Opens a serial port in raw mode, eight data bits, no parity, one stop bit (8N1).
     pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, PortError> {
+        Self::open_among(Path::new(latency::ADAPTERS), path, bit_rate)
+    }
+
+    /// As [`open`](Self::open), with the folder that has one of each USB adapter.
+    fn open_among(adapters: &Path, path: &Path, bit_rate: u32) -> Result<Self, PortError> {
         let name = path.display().to_string();
         let failed = |error: Errno| explain(&name, error.into());
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -40,7 +45,7 @@ impl Tty {
             .map_err(failed)?;
         let tty = Self { port, name };
         tty.configure(bit_rate)?;
-        latency::shorten(path);
+        latency::shorten(adapters, path);
         Ok(tty)
     }
 
@@ -161,16 +166,35 @@ fn explain(name: &str, error: io::Error) -> PortError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs::File;
+    use std::fs::{self, File};
 
     use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
     use rustix::termios::{LocalModes, OutputModes, SpecialCodeIndex};
 
-    #[test]
-    fn open_port_replaces_all_settings_of_an_earlier_program() {
+    /// The device's end of a line, and the path of the serial port.
+    fn line() -> (OwnedFd, String) {
         let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         unlockpt(&line).unwrap();
         let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        (line, path)
+    }
+
+    #[test]
+    fn opening_a_port_makes_its_adapter_fast() {
+        let (_line, path) = line();
+        let path = Path::new(&path);
+        let adapters = tempfile::tempdir().unwrap();
+        let adapter = adapters.path().join(path.file_name().unwrap());
+        fs::create_dir(&adapter).unwrap();
+        let timer = adapter.join("latency_timer");
+        fs::write(&timer, "16\n").unwrap();
+        Tty::open_among(adapters.path(), path, 115_200).unwrap();
+        assert_eq!(fs::read_to_string(&timer).unwrap(), "1");
+    }
+
+    #[test]
+    fn open_port_replaces_all_settings_of_an_earlier_program() {
+        let (_line, path) = line();
         // Which keeps them, as a serial port does from one program to the next.
         let earlier = File::options().read(true).write(true).open(&path).unwrap();
         let mut settings = tcgetattr(&earlier).unwrap();

@@ -14,7 +14,7 @@ use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Told, Untyped, Waiting};
-use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
+use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::{Wake, since_boot};
 
@@ -38,6 +38,21 @@ pub(super) struct Moving<'a, E> {
 impl<E> Drop for Moving<'_, E> {
     fn drop(&mut self) {
         self.desk.lock().moving.remove(self.motor);
+    }
+}
+
+/// A motor whose brake one call opens. Until this is dropped, questions to the motor wait, except those that open its
+/// brake or end motion.
+pub(super) struct Opening<'a, E> {
+    desk: &'a Desk<E>,
+    motor: MotorId,
+}
+
+impl<E> Drop for Opening<'_, E> {
+    fn drop(&mut self) {
+        let mut state = self.desk.lock();
+        state.opening[self.motor.index()] -= 1;
+        self.desk.leave(state);
     }
 }
 
@@ -84,7 +99,6 @@ impl<E> Desk<E> {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
         state.check(motor, command.kind, since)?;
-        state.note_motion(motor, command.kind);
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
@@ -161,6 +175,12 @@ impl<E> Desk<E> {
         let is_free = !state.moving.contains(motor);
         state.moving.insert(motor);
         is_free.then(|| Moving { desk: self, motor })
+    }
+
+    /// A call is going to open this motor's brake.
+    pub(super) fn begin_opening(&self, motor: MotorId) -> Opening<'_, E> {
+        self.lock().opening[motor.index()] += 1;
+        Opening { desk: self, motor }
     }
 
     /// Waits until `until`, on the clock of the bus. The answer is the time then.
@@ -283,11 +303,19 @@ impl<E> Desk<E> {
             if question.asker.strong_count() == 0 && !question.command.kind.ends_motion() {
                 continue;
             }
-            let motor = question.motor;
-            let left = if busy.contains(motor) { Some(question) } else { clerk.put(question) };
-            if let Some(question) = left {
-                busy.insert(motor);
+            let (motor, kind) = (question.motor, question.command.kind);
+            if state.waits_for_hold(motor, kind) {
                 state.questions.push_back(question);
+                continue;
+            }
+            let is_busy = busy.contains(motor);
+            match if is_busy { Put::Waits(question) } else { clerk.put(question) } {
+                Put::Accepted => state.note_motion(motor, kind),
+                Put::Refused => {}
+                Put::Waits(question) => {
+                    busy.insert(motor);
+                    state.questions.push_back(question);
+                }
             }
         }
         state.hand_over_set_points(clerk);

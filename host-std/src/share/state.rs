@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::{Kind, MotorId, time};
+use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
@@ -88,6 +88,8 @@ pub(super) struct State<E> {
     restarted: MotorSet,
     /// These are being moved, each by one call.
     pub(super) moving: MotorSet,
+    /// How many calls open each motor's brake and have not told the motor to hold yet.
+    pub(super) opening: [u32; MotorId::COUNT],
     /// The error of the bus's last round, if that failed.
     pub(super) outage: Option<Arc<E>>,
     /// An error that no caller has got yet.
@@ -101,6 +103,17 @@ pub(super) struct State<E> {
     pub(super) news_since: Option<Instant>,
     /// The thread idles, and has to be woken for news.
     pub(super) is_idle: bool,
+}
+
+/// What becomes of a question that is put.
+#[derive(Debug)]
+pub(super) enum Put<E> {
+    /// The master has it.
+    Accepted,
+    /// The master refuses it, and its caller has been told.
+    Refused,
+    /// Its motor is busy.
+    Waits(Question<E>),
 }
 
 /// Takes up what is on the desk.
@@ -119,8 +132,8 @@ pub(super) trait Clerk<E> {
     /// started.
     fn found_at(&self, laid_at: Duration) -> time::Instant;
 
-    /// Puts a question; returns it if it has to wait.
-    fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
+    /// Puts a question.
+    fn put(&mut self, question: Question<E>) -> Put<E>;
 }
 
 impl<E> State<E> {
@@ -136,6 +149,7 @@ impl<E> State<E> {
             past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             moving: MotorSet::EMPTY,
+            opening: [0; MotorId::COUNT],
             outage: None,
             error: None,
             subscribers: Vec::new(),
@@ -177,7 +191,7 @@ impl<E> State<E> {
         Ok(())
     }
 
-    /// Takes note of a question that is laid down, or of a set-point that the master has accepted.
+    /// Takes note of a command that the master has accepted.
     pub(super) fn note_motion(&mut self, motor: MotorId, kind: Kind) {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
@@ -220,6 +234,13 @@ impl<E> State<E> {
             false if self.has_restarted_since(motor, Some(since)) => Err(RequestError::Restarted),
             false => Ok(()),
         }
+    }
+
+    /// Whether a question waits until a motor whose brake opens has been told to hold: its answer, if it is late, would
+    /// keep that from being sent while the load falls.
+    pub(super) fn waits_for_hold(&self, motor: MotorId, kind: Kind) -> bool {
+        let is_opening = self.opening[motor.index()] > 0;
+        is_opening && !kind.ends_motion() && kind != Opcode::ReleaseBrake.into()
     }
 
     /// Hands the clerk the orders.

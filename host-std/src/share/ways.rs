@@ -13,9 +13,10 @@ use myactuator_protocol_core::io::bring_up::{
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Milliseconds;
-use myactuator_protocol_core::{Command, MotorId};
+use myactuator_protocol_core::{Command, MotorId, Opcode};
 
 use super::calls::{Insistence, Order};
+use super::desk::Opening;
 use super::state::Past;
 use super::{SharedBus, SharedBusError};
 
@@ -75,7 +76,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Opens a motor's brake while the motor holds, and waits until it is open, as
     /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. This ends a motion that
-    /// another thread has commanded.
+    /// another thread has commanded. Questions of other threads to this motor, except those that end motion, wait until
+    /// it has been told to hold.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -167,13 +169,15 @@ struct Way<'a, E> {
     /// The motor's past when this began: nothing from here follows an end of motion, or a restart, that came
     /// since.
     since: Past,
+    /// While it opens the motor's brake and has not told the motor to hold.
+    opening: Option<Opening<'a, E>>,
     /// The last time that the clock of the bus returned.
     now: Instant,
 }
 
 impl<'a, E: fmt::Debug + Send + Sync + 'static> Way<'a, E> {
     fn on(bus: &'a SharedBus<E>, motor: MotorId) -> Self {
-        Self { bus, since: bus.desk().past(motor), now: Instant::ZERO }
+        Self { bus, since: bus.desk().past(motor), opening: None, now: Instant::ZERO }
     }
 
     /// Waits until the clock of the bus has reached `earliest`; returns its time.
@@ -204,10 +208,19 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     ) -> Result<C::Reply, CallError<Self::Error>> {
         let insistence = attempts.map_or(Insistence::Usual, Insistence::Attempts);
         let ends_motion = command.kind().ends_motion();
+        if command.kind() == Opcode::ReleaseBrake.into() {
+            self.opening = Some(self.bus.desk().begin_opening(motor));
+        } else if !ends_motion {
+            // It would wait for itself.
+            self.opening = None;
+        }
         let reply = self.bus.put(motor, &command, insistence, Some(self.since));
         // It may have been sent, whatever the outcome.
         if ends_motion && !matches!(reply, Err(SharedBusError::Refused { .. })) {
             self.since.note_own_end();
+        }
+        if ends_motion {
+            self.opening = None;
         }
         reply.map_err(call_error)
     }
@@ -254,8 +267,8 @@ mod tests {
 
     use embedded_can::{Frame as _, nb};
     use myactuator_protocol_core::command::{
-        AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, Reset,
-        Shutdown,
+        AbsolutePosition, ErrorFlags, ReadModel, ReadMultiTurnAngle, ReadRunningMode, ReadStatus1,
+        ReleaseBrake, Reset, Shutdown, Stop,
     };
     use myactuator_protocol_core::io::CanMaster;
     use myactuator_protocol_core::master::{Config, Event};
@@ -491,6 +504,34 @@ mod tests {
         let held = degrees();
         thread::sleep(time::Duration::from_millis(300));
         assert!((degrees() - held).abs() < 1.0, "{held} and {}", degrees());
+    }
+
+    /// One that is not answered would keep the motor from being told to hold, while its load falls.
+    #[test]
+    fn question_of_another_thread_waits_until_a_motor_whose_brake_opens_was_told_to_hold() {
+        let (fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true));
+        let (log, way) = (fleet.world.log(), &mut Way::on(&bus, id(1)));
+        block_on(way.ask(id(1), ReleaseBrake)).unwrap();
+        thread::scope(|scope| {
+            let asking = scope.spawn(|| bus.ask(id(1), ReadModel));
+            thread::sleep(time::Duration::from_millis(50));
+            block_on(way.ask(id(1), Stop)).unwrap();
+            asking.join().unwrap().unwrap();
+        });
+        assert_eq!(sent(&log), [0x77, 0x81, 0xB5]);
+    }
+
+    /// It asks something else instead, or ends.
+    #[test]
+    fn caller_that_has_opened_a_brake_and_does_not_hold_blocks_nobody() {
+        let (_fleet, bus) = shared_fleet(&Fleet::new(1).brakes(true));
+        let mut way = Way::on(&bus, id(1));
+        block_on(way.ask(id(1), ReleaseBrake)).unwrap();
+        block_on(way.ask(id(1), ReadStatus1)).unwrap();
+        bus.ask(id(1), ReadModel).unwrap();
+        block_on(way.ask(id(1), ReleaseBrake)).unwrap();
+        drop(way);
+        bus.ask(id(1), ReadModel).unwrap();
     }
 
     /// A bus on which the answers to 0x78 are lost.

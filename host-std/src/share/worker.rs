@@ -14,7 +14,7 @@ use myactuator_protocol_core::{Data, MotorId};
 use super::SharedBusError;
 use super::calls::{Answer, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
-use super::state::Clerk;
+use super::state::{Clerk, Put};
 use crate::open::since_boot;
 
 /// How long a thread idles if nothing can wake it.
@@ -301,7 +301,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         self.looked_at.min(laid_at).max(self.taken_at)
     }
 
-    fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {
+    fn put(&mut self, mut question: Question<R::Error>) -> Put<R::Error> {
         let now = self.runner.now();
         let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
         let Question { motor, command, insistence, .. } = question;
@@ -317,16 +317,17 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Ok(ticket) => {
                 let Question { asker, answer, .. } = question;
                 self.asked.push(Asked { asker, ticket, answer });
+                Put::Accepted
             }
             Err(RequestError::Busy) if now < turn_ends => {
                 self.turn_ends =
                     Some(self.turn_ends.map_or(turn_ends, |first| first.min(turn_ends)));
-                return Some(question);
+                Put::Waits(question)
             }
             Err(refusal) => {
                 let _ = question.answer.send(Err(SharedBusError::Refused { motor, refusal }));
+                Put::Refused
             }
         }
-        None
     }
 }

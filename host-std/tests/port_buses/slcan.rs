@@ -324,6 +324,19 @@ fn frames_that_a_stalled_adapter_does_not_take_are_discarded() {
     }
 }
 
+/// It has sent more than one call reads.
+#[test]
+fn receive_returns_while_an_adapter_babbles() {
+    let (mut line, path) = pty::open();
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    let clock = can.clock().unwrap();
+    line.write_all(&[b'?'; 8_000]).unwrap();
+    line.write_all(b"\rt24189200000000000000\r").unwrap();
+    assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+    let reply = until(&mut can, &clock, |can| can.receive().ok());
+    assert_eq!(reply.id(), StandardId::new(0x241).unwrap().into());
+}
+
 /// All of a move but its line end lies in the adapter, from a program that was killed.
 #[test]
 fn line_begun_by_a_killed_program_is_not_completed() {

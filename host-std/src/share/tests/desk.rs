@@ -5,9 +5,9 @@ use myactuator_protocol_core::command::{LockBrake, Reset};
 use super::*;
 use crate::share::calls::{Awaited, Insistence, Order, Question, Untyped};
 use crate::share::desk::Desk;
-use crate::share::state::Clerk;
+use crate::share::state::{Clerk, Put};
 
-/// Notes what it gets; is busy with questions, or answers them at once.
+/// Notes what it gets; is busy with questions, or answers them at once. Refuses what moves motor 3.
 #[derive(Default)]
 struct Notes {
     noted: Vec<String>,
@@ -48,16 +48,21 @@ impl Clerk<CanError> for Notes {
         self.looked_at
     }
 
-    fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
+    fn put(&mut self, question: Question<CanError>) -> Put<CanError> {
         self.noted.push(format!("{}?", question.motor));
         self.bytes.push((question.motor.get(), question.command.encode()[0]));
+        let Question { motor, command, ref answer, .. } = question;
+        if motor == id(3) && command.kind.moves() {
+            let refusal = RequestError::Restarted;
+            let _ = answer.send(Err(SharedBusError::Refused { motor, refusal }));
+            return Put::Refused;
+        }
         if self.takes_questions {
-            let Question { motor, answer, .. } = question;
             let failure = Failure::NoReply;
             let _ = answer.send(Err(SharedBusError::Failed { motor, failure }));
-            return None;
+            return Put::Accepted;
         }
-        Some(question)
+        Put::Waits(question)
     }
 }
 
@@ -162,6 +167,30 @@ fn commands_that_end_motion_go_first_and_drop_waiting_moves() {
     assert!(desk.take(&mut notes));
     assert_eq!(notes.bytes, [(2, 0x9A), (1, 0x80), (1, 0x81), (1, 0x9A), (2, 0xA4), (1, 0xA4)]);
     assert!(newer.is_ok());
+}
+
+/// Two calls open the brake of motor 1.
+#[test]
+fn questions_wait_while_a_brake_opens_except_those_that_open_it_or_end_motion() {
+    let desk = new_desk();
+    let put = || {
+        let mut notes = Notes { takes_questions: true, ..Notes::default() };
+        assert!(desk.take(&mut notes));
+        notes.bytes
+    };
+    let _reading = [1, 2].map(|motor| ask(&desk, motor, ReadStatus1));
+    let opening = [id(1); 2].map(|motor| desk.begin_opening(motor));
+    let _opened = ask(&desk, 1, ReleaseBrake);
+    assert_eq!(put(), [(2, 0x9A), (1, 0x77)]);
+    let _held = ask(&desk, 1, Stop);
+    assert_eq!(put(), [(1, 0x81)]);
+    let [first, last] = opening;
+    drop(first);
+    assert_eq!(put(), []);
+    assert!(desk.may_idle());
+    drop(last);
+    assert!(!desk.may_idle(), "there is news");
+    assert_eq!(put(), [(1, 0x9A)]);
 }
 
 #[test]
@@ -380,7 +409,14 @@ fn stop_by_a_caller_from_before_a_shutdown_leaves_the_motor_off() {
             "Off",
         ),
         // Whoever moves it by then does not have it fall.
-        (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, STEP))), "Hold"),
+        (
+            |desk| {
+                drop(ask(desk, 1, Shutdown));
+                let _moving = ask(desk, 1, STEP);
+                assert!(desk.take(&mut Notes { takes_questions: true, ..Notes::default() }));
+            },
+            "Hold",
+        ),
     ];
     for (at, (end, kind)) in ends.into_iter().enumerate() {
         let desk = new_desk();
@@ -422,6 +458,33 @@ fn a_stop_does_not_switch_on_a_motor_whose_set_point_the_master_refused() {
     taken(&desk);
     drop(desk.stop(id(3), StopKind::Hold, Some(since)));
     assert_eq!(taken(&desk), ["stop 3: Off"]);
+}
+
+/// The master refuses it, the bus fails, the caller gives up, or a lock drops it.
+#[test]
+fn a_stop_does_not_switch_on_a_motor_whose_move_was_never_sent() {
+    type Drops = fn(&Desk<CanError>, Awaited<Data, CanError>);
+    let drops: [Drops; 4] = [
+        |desk, moving| {
+            taken(desk);
+            tells(&desk.wait(moving).unwrap_err(), 3, RequestError::Restarted);
+        },
+        |desk, _moving| desk.fail(&Arc::new(CanError::BusOff), []),
+        |desk, moving| {
+            drop(moving);
+            taken(desk);
+        },
+        |desk, _moving| drop(ask(desk, 3, LockBrake)),
+    ];
+    for (at, drops) in drops.into_iter().enumerate() {
+        let desk = new_desk();
+        let since = desk.past(id(3));
+        drop(ask(&desk, 3, Shutdown));
+        assert!(desk.take(&mut Notes { takes_questions: true, ..Notes::default() }));
+        drops(&desk, ask(&desk, 3, STEP));
+        drop(desk.stop(id(3), StopKind::Hold, Some(since)));
+        assert_eq!(taken(&desk), ["stop 3: Off"], "{at}");
+    }
 }
 
 #[test]
