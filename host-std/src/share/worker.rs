@@ -307,6 +307,8 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         let Question { motor, command, insistence, .. } = question;
         let master = self.runner.master();
         let ticket = match insistence {
+            // Its turn comes too late: the program may have been suspended.
+            _ if now >= turn_ends => Err(RequestError::Busy),
             Insistence::Usual => master.request(motor, command),
             Insistence::Attempts(attempts) => {
                 master.request_with(motor, command, master.patience(attempts))
