@@ -93,6 +93,14 @@ pub(super) struct Question<E> {
     pub(super) answer: Answer<Data, E>,
 }
 
+impl<E> Question<E> {
+    /// What ends motion is sent even if nobody waits for it any more. Not a restart: a load may fall when it comes late.
+    pub(super) fn outlives_its_caller(&self) -> bool {
+        let kind = self.command.kind;
+        kind.ends_motion() && !kind.is_refused_while_stopped()
+    }
+}
+
 /// Goes before all questions and set-points; orders keep their order.
 #[derive(Debug)]
 pub(super) enum Order<E> {

@@ -300,10 +300,10 @@ impl<E> Desk<E> {
         // Questions to one motor keep their order.
         let mut busy = MotorSet::EMPTY;
         for question in std::mem::take(&mut state.questions) {
-            if question.asker.strong_count() == 0 && !question.command.kind.ends_motion() {
+            let (motor, kind) = (question.motor, question.command.kind);
+            if question.asker.strong_count() == 0 && !question.outlives_its_caller() {
                 continue;
             }
-            let (motor, kind) = (question.motor, question.command.kind);
             if state.waits_for_hold(motor, kind) {
                 state.questions.push_back(question);
                 continue;
@@ -370,7 +370,7 @@ impl<E> Desk<E> {
         state.questions.retain(|question| {
             let is_told = tell(&question.answer);
             told += usize::from(is_told);
-            !is_told && question.command.kind.ends_motion()
+            !is_told && question.outlives_its_caller()
         });
         // While the bus goes on failing, each caller gets the error.
         if told == 0 && state.outage.is_none() {

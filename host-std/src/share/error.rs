@@ -25,7 +25,7 @@ pub enum SharedBusError<E = BusError> {
         /// Why it could not be sent.
         refusal: RequestError,
     },
-    /// The command was sent and has no answer, or a stop came before it.
+    /// It has no answer. The failure says whether it may have been sent.
     #[error("motor {motor}: {failure}")]
     Failed {
         /// The motor that was asked.

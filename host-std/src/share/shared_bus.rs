@@ -174,7 +174,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// threads are under way meanwhile. Questions to one motor are sent in their order; a command that ends motion goes
     /// before everything that waits for the motor, and drops what moves it. While
     /// [`release_brake`](Self::release_brake) opens the motor's brake and has not told it to hold, other questions to
-    /// the motor wait.
+    /// the motor wait, except those that end motion or open its brake.
     ///
     /// # Errors
     /// [`SharedBusError`]. If the command is next and gets no turn within 2 s, for example because a stop waits for a

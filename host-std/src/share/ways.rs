@@ -76,8 +76,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Opens a motor's brake while the motor holds, and waits until it is open, as
     /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. This ends a motion that
-    /// another thread has commanded. Questions of other threads to this motor, except those that end motion, wait until
-    /// it has been told to hold.
+    /// another thread has commanded. Questions of other threads to this motor, except those that end motion or open its
+    /// brake, wait until it has been told to hold. Set-points do not wait: let no thread stream to this motor meanwhile,
+    /// or it moves on, and its brake may be locked while it turns.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -100,8 +101,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Locks the brake of a motor that stands, and waits until it has had the time to lock, as
     /// [`bring_up::lock_brake`](myactuator_protocol_core::io::bring_up::lock_brake) does. A set-point of another thread
-    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses such set-points. If the
-    /// brake slips, it also refuses to open it again: [lift](Self::lift_stop_of) the stop before that.
+    /// that comes meanwhile may open it again. A [stop](Self::stop) in force refuses such set-points. It also
+    /// refuses to open a brake that slips, and then the load falls: for a load, [lift](Self::lift_stop_of) the stop
+    /// before this call, and let no thread stream to the motor.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

@@ -23,7 +23,7 @@ pub enum CallError<E> {
         /// Why it could not be sent.
         refusal: RequestError,
     },
-    /// It was sent, and has no answer.
+    /// It has no answer. The failure says whether it may have been sent.
     #[error("motor {motor}: {failure}")]
     Failed {
         /// The motor that was asked.

@@ -130,7 +130,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///
 /// - Function 5 (0x20) names the motor, so it comes first. If the motor does not acknowledge that and is the only one
 ///   on the bus, 0x79 is tried, which all connected motors obey. It does not count as the only one if the master knows
-///   another, or if bytes came that are no frame: that may be two motors with one id (RS485).
+///   another ([forget](crate::master::Master::forget) those that are not connected any more), or if bytes came that are
+///   no frame: that may be two motors with one id (RS485).
 /// - A motor that turns is refused.
 /// - This asks all ids first, and both of these afterwards. So the master needs a place for each of the two besides
 ///   those of the other motors that it knows: `CanMaster<_, _, 8>` for six motors, for example. Without them nothing is
@@ -173,10 +174,10 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77, 2.19.1).
 ///
-/// The motor holds its shaft from the beginning (0x81), so that no load falls. That also stops a motor that moves,
-/// whoever moves it. If the load has begun to turn the shaft, this waits until the motor has brought it to rest, and
-/// locks the brake again if that takes more than half a second. To let the shaft turn freely, send
-/// [`Shutdown`](crate::command::Shutdown) afterwards.
+/// The motor is told to hold (0x81) right after 0x77, when that is answered or one reply time-out later: a brake takes
+/// longer to open, so no load falls. That also stops a motor that moves, whoever moves it. If the load has begun to
+/// turn the shaft, this waits until the motor has brought it to rest, and locks the brake again if that takes more than
+/// half a second. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
 /// Speed and position commands open a brake on their own, and hold.
 ///
@@ -185,7 +186,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 ///
 /// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails then, the brake
 /// may be open all the same. The motor is then [stopped](crate::master::Master::stop) before this returns, until that
-/// is lifted.
+/// is lifted. After other errors no stop of this function is in force. The brake may then be open, and the motor was
+/// told to hold.
 ///
 /// The motor is told to hold when an answer is late, so let
 /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. If somebody else
@@ -212,8 +214,8 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 ///     bring_up::lock_brake(bus, arm)?;
 ///     let is_off = bus.stop(arm, StopKind::Off);
 ///     if let Err(slips) = bring_up::check_brake(bus, arm) {
-///         // The motor holds behind an open brake only.
-///         bus.master().lift_stop_of(arm);
+///         // The motor holds behind an open brake only, and a stop, of one or of all, refuses to open it.
+///         bus.master().lift_stop();
 ///         bring_up::release_brake(bus, arm)?;
 ///         return Err(slips);
 ///     }
@@ -222,8 +224,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// ```
 ///
 /// This checks the shaft after the brake has had the time to lock. If the shaft slips, a motor that ran something or
-/// drew a current is told to hold it again, as by [`release_brake`], which may leave a stop in force. Some brakes slip
-/// only when the motor is off: [check again](check_brake) then.
+/// drew a current is told to hold it again, as by [`release_brake`], which may leave a stop in force. **A stop that is
+/// in force when this is called refuses that, and the load falls: lift it before.** Some brakes slip only when the motor
+/// is off: [check again](check_brake) then.
 ///
 /// A motor that turns is refused while it runs something and can be stopped. If it runs nothing, or reports an error,
 /// its brake is told to lock, to catch what falls.

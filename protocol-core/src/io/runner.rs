@@ -154,6 +154,9 @@ pub trait Runner<const N: usize> {
     /// Stops one motor, waits until it has confirmed or has failed to, and returns whether it has. If not, **cut its
     /// power**. See [`Master::stop`].
     ///
+    /// - This may take up to a second, as [`stop_all`](Self::stop_all) may, in which the others get no set-points. In a
+    ///   control loop call [`Master::stop`], take the event, and leave the motor out of the stream and the
+    ///   [`Watch`](crate::io::Watch).
     /// - Until [`Master::lift_stop_of`] whatever may move the motor is refused.
     /// - An error of the bus does not end the stop, as with [`stop_all`](Self::stop_all).
     /// - A motor that was switched off by a stop that is still in force stays off. It confirms [`StopKind::Hold`], too.

@@ -103,7 +103,7 @@ pub enum Failure {
     /// A reply came, but a field holds a value that is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or answered: it may have been carried out. This is also reported if it
+    /// A stop, or a request that ends motion, took its place before it was sent or answered: it may have been carried out. This is also reported if it
     /// had failed for another reason that was not polled yet.
     #[error("the motors were stopped first")]
     Stopped,
@@ -113,13 +113,14 @@ pub enum Failure {
         "the motor has not confirmed the stop, which goes once more before this: it may be silent"
     )]
     StopUnconfirmed,
-    /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
+    /// The bus carried nothing while the command waited, for the first time or to be sent again. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
     /// not done at its first poll, every request ends in this way.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
-    /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped
-    /// or has restarted. A move: its motor has restarted, its caller no longer waits for the outcome, or the loop was
-    /// held up for seconds.
+    /// Not sent, or not sent again: if it may be sent more than once, it may have been carried out. A set-point: it
+    /// waited too long, the bus carried nothing, or the motor was stopped or has restarted. Another command that a stop
+    /// would refuse: its motor has restarted, its caller no longer waits for the outcome, or the loop was held up for
+    /// seconds.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }

@@ -194,8 +194,9 @@ impl<const N: usize> Master<N> {
     /// configuration.
     ///
     /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting broadcast that
-    /// may move it. If it is refused because the motor is busy, what is under way there and may move it is not sent
-    /// again, and what waits is dropped. Its reply counts only once nothing that was sent before it can move the motor any more.
+    /// may move it. If it is refused because the motor is busy, it is not put: ask again, or [stop](Self::stop) the
+    /// motor. What waits and may move the motor is dropped all the same, as by a stop, and nothing of that is sent again.
+    /// Its reply counts only once nothing that was sent before it can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`] in these cases:
@@ -255,6 +256,9 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
         let place = self.place_for(motor)?;
+        if kind.ends_motion() {
+            self.broadcast.cancel_what_moves();
+        }
         self.change_at(place, |motor, config| {
             if !motor.request.is_none()
                 || motor.news.intersects(News::STOPPED | News::STOPPED_AGAIN)
@@ -289,7 +293,6 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
             self.let_line_answer();
-            self.broadcast.cancel_what_moves();
             if let Some(by) = StopKind::by(kind) {
                 self.is_any_off_since |= by == StopKind::Off;
                 self.overtakes_broadcast(motor, by);

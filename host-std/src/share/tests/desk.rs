@@ -298,6 +298,17 @@ fn command_that_ends_motion_survives_an_error_without_its_caller() {
     assert_eq!(taken(&desk), ["1?"]);
 }
 
+/// It switches the motor off, and its caller may have left long ago.
+#[test]
+fn restart_is_not_sent_without_its_caller() {
+    let desk = new_desk();
+    drop(ask(&desk, 1, Reset).unwrap());
+    assert!(taken(&desk).is_empty());
+    drop(ask(&desk, 1, Reset).unwrap());
+    desk.fail(&Arc::new(CanError::BusOff), []);
+    assert!(taken(&desk).is_empty());
+}
+
 #[test]
 fn moves_older_than_a_resumption_do_not_follow_a_restart() {
     let is_refused = |returned| {

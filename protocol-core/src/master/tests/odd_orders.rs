@@ -774,6 +774,16 @@ fn what_ends_motion_is_busy_and_ends_it_all_the_same() {
 }
 
 #[test]
+fn move_of_all_that_waits_is_dropped_by_what_ends_the_motion_of_a_busy_motor() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request_with(id(1), ReadStatus2, patient(1, 20)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    assert_eq!(master.request(id(1), Shutdown).err(), Some(RequestError::Busy));
+    assert_eq!(sent(&mut master, ms(100)), []);
+}
+
+#[test]
 fn set_point_that_waits_behind_a_read_is_dropped_by_what_ends_motion() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request_with(id(1), ReadStatus2, patient(1, 20)).unwrap();
