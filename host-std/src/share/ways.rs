@@ -263,7 +263,7 @@ fn call_error<E>(error: SharedBusError<E>) -> CallError<SharedBusError<E>> {
 mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::atomic::{AtomicBool, Ordering};
-    use std::sync::mpsc::sync_channel;
+    use std::sync::mpsc::{self, sync_channel};
     use std::thread;
     use std::time;
 
@@ -534,6 +534,51 @@ mod tests {
         block_on(way.ask(id(1), ReleaseBrake)).unwrap();
         drop(way);
         bus.ask(id(1), ReadModel).unwrap();
+    }
+
+    /// A bus that calls this when 0x77 is answered.
+    struct Opens<F>(CanPort, F);
+
+    impl<F: FnMut()> nb::Can for Opens<F> {
+        type Frame = SimpleFrame;
+        type Error = CanError;
+
+        fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, CanError> {
+            self.0.transmit(frame)
+        }
+
+        fn receive(&mut self) -> ::nb::Result<SimpleFrame, CanError> {
+            let frame = self.0.receive()?;
+            if frame.data()[0] == 0x77 {
+                (self.1)();
+            }
+            Ok(frame)
+        }
+    }
+
+    /// Nothing else can hold its load then.
+    #[test]
+    fn brake_of_a_motor_that_another_thread_switches_off_while_it_opens_is_locked() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let (opens, is_opening) = mpsc::channel();
+        let port = Opens(fleet.world.port(), move || {
+            let _ = opens.send(());
+            // The other thread asks meanwhile.
+            thread::sleep(time::Duration::from_millis(50));
+        });
+        let clock = fleet.world.clock();
+        let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
+        let (log, bus) = (fleet.world.log(), SharedBus::new(master, StopKind::Hold));
+        let other = bus.clone();
+        let switching_off = thread::spawn(move || {
+            is_opening.recv().unwrap();
+            other.ask(id(1), Shutdown).unwrap();
+        });
+        assert!(bus.release_brake(id(1)).is_err());
+        switching_off.join().unwrap();
+        let sent = sent(&log);
+        let off = sent.iter().position(|&byte| byte == 0x80).unwrap();
+        assert!(sent[off..].contains(&0x78), "{sent:02X?}");
     }
 
     /// A bus on which the answers to 0x78 are lost.

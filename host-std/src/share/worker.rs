@@ -308,7 +308,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         let master = self.runner.master();
         let ticket = match insistence {
             // Its turn comes too late: the program may have been suspended.
-            _ if now >= turn_ends => Err(RequestError::Busy),
+            _ if now >= turn_ends && !command.kind.ends_motion() => Err(RequestError::Busy),
             Insistence::Usual => master.request(motor, command),
             Insistence::Attempts(attempts) => {
                 master.request_with(motor, command, master.patience(attempts))

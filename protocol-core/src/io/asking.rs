@@ -73,7 +73,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         let (patience, may_wait) = (self.patience, now < self.latest_turn);
         for it in self.open().filter(|it| it.ticket.is_none()) {
             // Its turn may come too late: the loop may have been suspended.
-            let put = match may_wait {
+            let put = match may_wait || it.command.kind().ends_motion() {
                 true => master.put_request(it.motor, &it.command, patience),
                 false => Err(RequestError::Busy),
             };

@@ -4,6 +4,7 @@ use crate::command::{
     BrakeCommand, Command, Feedback, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown,
     Status1, Stop,
 };
+use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::calls::Calls;
@@ -128,6 +129,10 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
             }
             Ok(_) => {}
             Err(error) => {
+                if let CallError::Refused { refusal: RequestError::Stopped, .. } = error {
+                    // Somebody has switched the motor off meanwhile: only the brake can hold.
+                    let _ = insist(&mut *opening.it, motor, LockBrake).await;
+                }
                 told = Err(error);
                 break;
             }

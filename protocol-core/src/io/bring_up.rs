@@ -184,14 +184,13 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// # Errors
 /// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::NotHeld`], [`BringUpError::Call`].
 ///
-/// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails then, the brake
-/// may be open all the same. The motor is then [stopped](crate::master::Master::stop) before this returns, until that
-/// is lifted. After other errors no stop of this function is in force. The brake may then be open, and the motor was
-/// told to hold.
+/// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails or somebody else
+/// stops the motor then, the brake may be open all the same. The motor is then [stopped](crate::master::Master::stop)
+/// before this returns, until that is lifted, and a brake whose motor was switched off is told to lock. In any other
+/// case no stop of this function is in force.
 ///
 /// The motor is told to hold when an answer is late, so let
-/// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall. If somebody else
-/// has switched the motor off meanwhile, its brake may be open, too: lock it, which no stop refuses.
+/// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall.
 pub fn release_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -117,10 +117,9 @@ pub enum Failure {
     /// not done at its first poll, every request ends in this way.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
-    /// Not sent, or not sent again: if it may be sent more than once, it may have been carried out. A set-point: it
-    /// waited too long, the bus carried nothing, or the motor was stopped or has restarted. Another command that a stop
-    /// would refuse: its motor has restarted, its caller no longer waits for the outcome, or the loop was held up for
-    /// seconds.
+    /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped
+    /// or has restarted. Another command that a stop would refuse: its caller no longer waits for the outcome, or the
+    /// loop was held up for seconds; or its motor has restarted, and then it may have been sent once.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }

@@ -159,7 +159,7 @@ use round_trips::RoundTrips;
 use schedule::Earliest;
 use transmit::{ForAll, Offer};
 
-/// A master at which nobody has looked for this much longer than anything waits was held up.
+/// A master at which nobody has looked for this much longer than its configuration makes anything wait was held up.
 const HELD_UP: Duration = Duration::from_millis(1_000);
 /// The latest point in time.
 const NEVER: Instant = Instant::from_micros(u64::MAX);

@@ -195,8 +195,8 @@ impl<const N: usize> Master<N> {
     ///
     /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting broadcast that
     /// may move it. If it is refused because the motor is busy, it is not put: ask again, or [stop](Self::stop) the
-    /// motor. What waits and may move the motor is dropped all the same, as by a stop, and nothing of that is sent again.
-    /// Its reply counts only once nothing that was sent before it can move the motor any more.
+    /// motor. What waits and may move the motor is dropped all the same, as by a stop, and nothing of that is sent
+    /// again. Its reply counts only once nothing that was sent before it can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`] in these cases:

@@ -65,6 +65,15 @@ fn move_whose_turn_comes_after_a_suspension_is_not_put() {
 }
 
 #[test]
+fn what_ends_motion_is_put_however_late() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 1).is_none());
+    let off = block_on(arm.ask_with(id(1), Shutdown, None, |_| clock.advance(3_600_000_000)));
+    assert!(off.is_ok());
+    assert!(bus.sent().contains(&Shutdown.encode()));
+}
+
+#[test]
 fn moves_of_a_dropped_future_are_not_sent_later() {
     let (bus, clock, mut arm) = on_busy_can();
     assert!(polls(arm.ask_together([(id(1), step()), (id(2), step())]), 10).is_none());

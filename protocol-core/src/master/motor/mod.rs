@@ -189,8 +189,10 @@ impl Motor {
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
                 if !asked.kind().is_refused_while_stopped() => {}
             Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
-            Request::Waiting(_) => {
-                self.finish_request(Request::Failed(Failure::Dropped), config, now);
+            Request::Waiting(asked) => {
+                let was_sent = asked.unanswered > 0;
+                let why = if was_sent { Failure::NoReply } else { Failure::Dropped };
+                self.finish_request(Request::Failed(why), config, now);
             }
             Request::None | Request::Failed(_) => {}
         }

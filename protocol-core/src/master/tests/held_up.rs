@@ -24,6 +24,20 @@ fn move_that_has_waited_through_a_suspension_is_not_sent() {
 }
 
 /// The loop sleeps for as long as a motor takes to restart, 2 s, and may be a second late.
+/// The other motor goes first then. The first may have moved.
+#[test]
+fn move_that_was_sent_and_waits_to_be_sent_again_is_not_reported_as_never_sent() {
+    let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    let twice = Patience { attempts: 2, ..once(20) };
+    let [first, _] = [1, 2].map(|motor| master.request_with(id(motor), step(), twice).unwrap());
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(sent(&mut master, ms(20)), [packet_to(2, step().encode())]);
+    let reported = events(&mut master, AN_HOUR);
+    let failed = reported.iter().find_map(|event| first.outcome(event));
+    assert_eq!(failed, Some(Err(Failure::NoReply)));
+    assert_eq!(sent(&mut master, AN_HOUR), []);
+}
+
 #[test]
 fn move_that_has_waited_for_three_seconds_is_sent() {
     let (mut master, _) = two_moves();
