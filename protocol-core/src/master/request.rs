@@ -257,6 +257,7 @@ impl<const N: usize> Master<N> {
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
         let place = self.place_for(motor)?;
         if kind.ends_motion() {
+            self.let_line_answer();
             self.broadcast.cancel_what_moves();
         }
         self.change_at(place, |motor, config| {
@@ -291,12 +292,9 @@ impl<const N: usize> Master<N> {
             Ok(())
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
-        if kind.ends_motion() {
-            self.let_line_answer();
-            if let Some(by) = StopKind::by(kind) {
-                self.is_any_off_since |= by == StopKind::Off;
-                self.overtakes_broadcast(motor, by);
-            }
+        if let Some(by) = StopKind::by(kind) {
+            self.is_any_off_since |= by == StopKind::Off;
+            self.overtakes_broadcast(motor, by);
         }
         self.last_ticket = number;
         Ok(TicketId { motor, number })
