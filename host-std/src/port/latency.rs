@@ -25,7 +25,12 @@ impl SlowAdapter {
     /// The adapter of this serial port, if its driver says that it is slow. If the user has the permission, opening the
     /// port has already made it fast.
     pub fn at(port: &Path) -> Option<Self> {
-        Timer::of(Path::new(ADAPTERS), port)?.too_long()
+        Self::among(Path::new(ADAPTERS), port)
+    }
+
+    /// As [`at`](Self::at), with the folder that has one of each adapter.
+    fn among(adapters: &Path, port: &Path) -> Option<Self> {
+        Timer::of(adapters, port)?.too_long()
     }
 }
 
@@ -44,7 +49,7 @@ impl fmt::Display for SlowAdapter {
 /// Makes the adapter of this serial port hand over what it has received as soon as it can, if its
 /// driver has a timer for that and the user may set it.
 pub(super) fn shorten(adapters: &Path, port: &Path) {
-    if let Some(slow) = Timer::of(adapters, port).and_then(Timer::too_long) {
+    if let Some(slow) = SlowAdapter::among(adapters, port) {
         slow.timer.shorten();
     }
 }

@@ -94,7 +94,7 @@ pub(super) struct Question<E> {
 }
 
 impl<E> Question<E> {
-    /// What ends motion is sent even if nobody waits for it any more. Not a restart: a load may fall when it comes late.
+    /// What ends motion is sent even if nobody waits for it any more. Not a restart: if it comes late, a load may fall.
     pub(super) fn outlives_its_caller(&self) -> bool {
         let kind = self.command.kind;
         kind.ends_motion() && !kind.is_refused_while_stopped()

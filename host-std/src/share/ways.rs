@@ -77,8 +77,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Opens a motor's brake while the motor holds, and waits until it is open, as
     /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does. This ends a motion that
     /// another thread has commanded. Questions of other threads to this motor, except those that end motion or open its
-    /// brake, wait until it has been told to hold. Set-points do not wait: let no thread stream to this motor meanwhile,
-    /// or it moves on, and its brake may be locked while it turns.
+    /// brake, wait until it has been told to hold. Set-points do not wait: let no thread stream to this motor, or it
+    /// moves on, and its brake may be locked while it turns.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

@@ -224,8 +224,8 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 ///
 /// This checks the shaft after the brake has had the time to lock. If the shaft slips, a motor that ran something or
 /// drew a current is told to hold it again, as by [`release_brake`], which may leave a stop in force. **A stop that is
-/// in force when this is called refuses that, and the load falls: lift it before.** Some brakes slip only when the motor
-/// is off: [check again](check_brake) then.
+/// in force when this is called refuses that, and the load falls: lift it before.** Some brakes slip only when the
+/// motor is off: [check again](check_brake) then.
 ///
 /// A motor that turns is refused while it runs something and can be stopped. If it runs nothing, or reports an error,
 /// its brake is told to lock, to catch what falls.

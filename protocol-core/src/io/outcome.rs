@@ -26,7 +26,12 @@ pub enum BringUpError<E> {
     #[error(
         "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}what it has kept \
          shows when its supply was switched off and on",
-        if *is_alone { "" } else { "connect it alone, to a line without noise, and let the master forget other ids, so that 0x79 can be tried as well; " }
+        if *is_alone {
+            ""
+        } else {
+            "connect it alone, to a line without noise, and let the master forget other ids, so that 0x79 can be tried \
+             as well; "
+        }
     )]
     IdNotTaken {
         /// The id that it had.

@@ -103,8 +103,8 @@ pub enum Failure {
     /// A reply came, but a field holds a value that is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop, or a request that ends motion, took its place before it was sent or answered: it may have been carried out. This is also reported if it
-    /// had failed for another reason that was not polled yet.
+    /// A stop, or a request that ends motion, took its place before it was sent or answered: it may have been carried
+    /// out. This is also reported if it had failed for another reason that was not polled yet.
     #[error("the motors were stopped first")]
     Stopped,
     /// A stop that the motor [has not confirmed](Event::StopUnconfirmed) took its place, for example that of a read:
@@ -113,8 +113,8 @@ pub enum Failure {
         "the motor has not confirmed the stop, which goes once more before this: it may be silent"
     )]
     StopUnconfirmed,
-    /// The bus carried nothing while the command waited, for the first time or to be sent again. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
-    /// not done at its first poll, every request ends in this way.
+    /// The bus carried nothing while the command waited, for the first time or to be sent again. With an
+    /// [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is not done at its first poll, every request ends so.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
     /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped

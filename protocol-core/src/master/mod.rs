@@ -301,9 +301,9 @@ impl<const N: usize> Master<N> {
     /// Takes note of the time: what is overdue is sent again or given up, and what is too old is dropped.
     ///
     /// If this was not called for a second more than [`Config::restart_time`], the computer was suspended, or the loop
-    /// held up. Then commands put before the last call that a stop would refuse (moves, restarts, writes to ROM) are too
-    /// old, and not sent any more; see [`withdraw`](Self::withdraw). What was put after it counts as new: put moves right
-    /// before the loop runs.
+    /// held up. Then commands put before the last call that a stop would refuse (moves, restarts, writes to ROM) are
+    /// too old, and not sent any more; see [`withdraw`](Self::withdraw). What was put after it counts as new: put moves
+    /// right before the loop runs.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         if now - self.looked_at > self.config.restart_time + HELD_UP {

@@ -1,4 +1,4 @@
-//! What was asked for by a future that is dropped.
+//! What was asked for by a future that is dropped, or before a suspension.
 
 use core::pin::pin;
 

@@ -92,22 +92,29 @@ fn unanswered_brake_release_is_followed_by_holds_each_time() {
     assert!(!bus.sent()[..].ends_with(&[[0x77, 0, 0, 0, 0, 0, 0, 0]]));
 }
 
-/// A bus on which one command goes wrong.
+/// A bus that fails when this command is sent.
 struct FailsAt<B> {
     bus: B,
     command: u8,
-    fails: Fails,
-    has_failed: bool,
+    then: Fails,
+    now: Fails,
+}
+
+impl<B> FailsAt<B> {
+    fn new(bus: B, command: u8, then: Fails) -> Self {
+        Self { bus, command, then, now: Fails::Never }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq)]
 enum Fails {
-    /// The command is refused once.
-    Once,
-    /// It is carried, and the next look at the bus fails.
-    OnceCarried,
-    /// It is carried, and every look at the bus fails from then on.
-    FromThenOn,
+    Never,
+    /// The command is refused.
+    Refused,
+    /// The command is carried, and the next look at the bus fails.
+    NextLook,
+    /// The command is carried, and every look at the bus fails from then on.
+    EachLook,
 }
 
 impl<B: nb::Can<Frame = SimpleFrame, Error = Broken>> nb::Can for FailsAt<B> {
@@ -115,21 +122,22 @@ impl<B: nb::Can<Frame = SimpleFrame, Error = Broken>> nb::Can for FailsAt<B> {
     type Error = Broken;
 
     fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
-        if frame.data()[0] == self.command && !core::mem::replace(&mut self.has_failed, true) {
-            if self.fails == Fails::Once {
+        if frame.data()[0] == self.command && self.then != Fails::Never {
+            self.now = core::mem::replace(&mut self.then, Fails::Never);
+            if self.now == Fails::Refused {
                 return Err(::nb::Error::Other(Broken));
             }
-            self.command = 0;
         }
         self.bus.transmit(frame)
     }
 
     fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
-        let fails = self.command == 0 && self.fails != Fails::Once;
-        if fails && self.fails == Fails::OnceCarried {
-            self.fails = Fails::Once;
+        match self.now {
+            Fails::Never | Fails::Refused => return self.bus.receive(),
+            Fails::NextLook => self.now = Fails::Never,
+            Fails::EachLook => {}
         }
-        if fails { Err(::nb::Error::Other(Broken)) } else { self.bus.receive() }
+        Err(::nb::Error::Other(Broken))
     }
 }
 
@@ -137,19 +145,18 @@ impl<B: nb::Can<Frame = SimpleFrame, Error = Broken>> nb::Can for FailsAt<B> {
 #[test]
 fn brake_release_on_a_bus_that_fails_is_followed_by_a_hold() {
     for (fails, expected) in [
-        (Fails::Once, &[0x81, 0x77, 0x81][..]),
-        (Fails::OnceCarried, &[0x77, 0x81, 0x77, 0x81]),
-        (Fails::FromThenOn, &[0x77, 0x81]),
+        (Fails::Refused, &[0x81, 0x77, 0x81][..]),
+        (Fails::NextLook, &[0x77, 0x81, 0x77, 0x81]),
+        (Fails::EachLook, &[0x77, 0x81]),
     ] {
         let (bus, _, mut arm) = on_can(|bus, clock, config| {
-            let bus = FailsAt { bus, command: 0x77, fails, has_failed: false };
-            CanMaster::<_, _, 4>::new(bus, clock, config)
+            CanMaster::<_, _, 4>::new(FailsAt::new(bus, 0x77, fails), clock, config)
         });
         let outcome = bring_up::release_brake(&mut arm, id(1));
         let sent = bus.sent().into_iter().map(|data| data[0]).filter(|byte| *byte < 0x90);
         let sent = sent.collect::<Vec<_>>();
         assert!(sent.starts_with(expected), "{sent:02X?}");
-        let is_held = fails != Fails::FromThenOn;
+        let is_held = fails != Fails::EachLook;
         assert_eq!(outcome, if is_held { Ok(()) } else { Err(CallError::Bus(Broken).into()) });
         assert_eq!(arm.master().is_stopped(id(1)), !is_held);
     }
@@ -187,8 +194,7 @@ fn brake_is_locked_although_the_bus_fails_once() {
             }
         };
         let (bus, _, mut arm) = on_can(|bus, clock, config| {
-            let bus = Says::new(bus, says);
-            let bus = FailsAt { bus, command: 0x78, fails: Fails::Once, has_failed: false };
+            let bus = FailsAt::new(Says::new(bus, says), 0x78, Fails::Refused);
             CanMaster::<_, _, 4>::new(bus, clock, config)
         });
         let failed = bring_up::release_brake(&mut arm, id(1));
