@@ -13,7 +13,7 @@ use myactuator_protocol_core::command::{
     Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CallError, CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::io::{CallError, CanMaster, LONGEST_TURN, Runner, SerialMaster};
 use myactuator_protocol_core::master::{
     Bus, Config, Event, Failure, Master, MotorSet, Patience, StopKind,
 };
@@ -311,6 +311,8 @@ pub(super) const PANIC: u32 = 9;
 const SUSPEND_IDLE: u32 = 10;
 /// Fails until something waits to be sent, and once more then.
 const FAIL_AT_WORK: u32 = 11;
+/// Is suspended for longer than a question waits for its turn, once it has received a reply.
+const SUSPEND_AFTER_REPLY: u32 = 12;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -367,6 +369,14 @@ impl Runner<8> for Fragile {
             let _ = self.1.compare_exchange(order, WORK, Ordering::SeqCst, Ordering::SeqCst);
         }
         match order {
+            SUSPEND_AFTER_REPLY => {
+                let event = self.0.poll()?;
+                if matches!(event, Some(Event::Reply { .. })) {
+                    self.1.store(WORK, Ordering::SeqCst);
+                    self.idle_until(self.0.now() + LONGEST_TURN);
+                }
+                Ok(event)
+            }
             WORK | BLOCK_AT_WORK | SUSPEND_AT_WORK | SUSPEND_IDLE => self.0.poll(),
             REFUSE => {
                 let now = self.0.now();
@@ -645,6 +655,19 @@ fn move_given_up_by_its_caller_is_not_sent_when_the_driver_returns() {
             |event| matches!(event, Event::Failed { failure, .. } if failure == dropped);
         assert!(std::iter::from_fn(|| events.try_next()).any(is_dropped), "it was the master's");
     }
+}
+
+#[test]
+fn move_whose_turn_comes_after_a_suspension_is_not_sent() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let log = fleet.world.log();
+    order.store(SUSPEND_AFTER_REPLY, Ordering::SeqCst);
+    let outcomes = bus.ask_together([(id(1), STEP), (id(1), STEP)]);
+    assert!(outcomes[0].is_ok(), "{outcomes:?}");
+    tells(outcomes[1].as_ref().unwrap_err(), 1, RequestError::Busy);
+    let moves = packets(&log).into_iter().filter(|packet| packet.data[0] == 0xA8);
+    assert_eq!(moves.count(), 2, "one move and its answer");
 }
 
 #[test]
