@@ -62,7 +62,7 @@ async fn open<B: Calls<N>, const N: usize>(
         status if status.brake != BrakeCommand::RELEASE => {
             return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
         }
-        _ => match falls(bus, motor).await? {
+        _ => match turned_by_load(bus, motor, COMES_TO_REST, true).await? {
             Some(speed) => BringUpError::NotHeld { motor, speed },
             None => return Ok(()),
         },
@@ -72,23 +72,26 @@ async fn open<B: Calls<N>, const N: usize>(
     Err(fails)
 }
 
-/// Waits until the shaft is at rest. If the motor does not bring it to rest, returns how fast it turns: at two looks in
-/// a row, and the motor runs nothing that could hold it or, if it does not say, draws no current; or it had its time.
-async fn falls<B: Calls<N>, const N: usize>(
+/// How fast the shaft turns, if a load turns it within this time: at two looks in a row, since a single look may find it
+/// swinging. A motor that `holds` may take the time to bring the shaft to rest, and once it rests this ends. It does not
+/// hold if it runs nothing that could or, where it does not say that, draws no current.
+async fn turned_by_load<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
+    time: Duration,
+    holds: bool,
 ) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
-    let end = bus.now() + COMES_TO_REST;
+    let end = bus.now() + time;
     let mut turned = false;
     loop {
         let Feedback { speed, current, .. } = insist(bus, motor, ReadStatus2).await?;
         let turns = turns(speed);
         let now = bus.now();
-        if turned && turns && (now >= end || !runs(bus, motor).await.unwrap_or(current.raw() != 0))
-        {
+        let may_rest = holds && now < end;
+        if turned && turns && !(may_rest && runs(bus, motor).await.unwrap_or(current.raw() != 0)) {
             return Ok(Some(speed));
         }
-        if speed.raw() == 0 || now >= end && !turns {
+        if !turns && now >= end || holds && speed.raw() == 0 {
             return Ok(None);
         }
         turned = turns;
@@ -263,7 +266,7 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
     motor: MotorId,
     held: bool,
 ) -> Result<(), BringUpError<B::Error>> {
-    let Some(Feedback { speed, .. }) = turned_by_load(bus, motor).await? else {
+    let Some(speed) = turned_by_load(bus, motor, LOAD_SHOWS, false).await? else {
         return Ok(());
     };
     let holds = if held { hold_again(bus, motor).await } else { Some(false) };
@@ -285,25 +288,6 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
             | BringUpError::Call(CallError::Refused { .. }),
         ) => Some(false),
         Err(_) => None,
-    }
-}
-
-/// How the shaft turns, if a load turns it: at two looks in a row, since a single look may find it swinging.
-async fn turned_by_load<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<Option<Feedback>, CallError<B::Error>> {
-    let end = bus.now() + LOAD_SHOWS;
-    let mut turned = false;
-    loop {
-        let feedback = insist(bus, motor, ReadStatus2).await?;
-        let now = bus.now();
-        match turns(feedback.speed) {
-            true if turned => return Ok(Some(feedback)),
-            false if now >= end => return Ok(None),
-            turns => turned = turns,
-        }
-        let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
     }
 }
 
