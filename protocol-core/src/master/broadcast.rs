@@ -275,6 +275,12 @@ impl Broadcast {
         self.on_its_way.end().is_some() && self.may_undo(end, motor)
     }
 
+    /// When it can no longer be answered, or undo anything.
+    pub(super) fn next_end(&self) -> Option<Instant> {
+        let is_answered = self.may_answer.is_empty();
+        if is_answered { self.on_its_way.end() } else { self.on_its_way.end_on_whole_bus() }
+    }
+
     /// Whether this broadcast may go after the one before it: no `known` or expected motor can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
         known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))

@@ -236,20 +236,6 @@ impl<const N: usize> Master<N> {
             && self.broadcast.may_go(self.motors())
     }
 
-    /// When a broadcast, or a request that waits because of one, may go.
-    fn broadcast_wait(&self, earliest: &mut Earliest) {
-        let question = if self.broadcast.is_waiting() { self.broadcast.question() } else { None };
-        if let Some(question) = question {
-            let ends = self.at(self.places.taken).filter_map(|(_, m)| m.late.end_of(question));
-            ends.for_each(|end| earliest.take(end));
-        }
-        let waits = |motor: &Motor| self.is_undone_with_all(motor) || self.is_confusable(motor);
-        let is_late_awaited = question.is_some() && !self.broadcast.may_go(self.motors());
-        if is_late_awaited || self.at(self.places.waiting).any(|(_, motor)| waits(motor)) {
-            earliest.take(self.broadcast.on_its_way.end_on_whole_bus());
-        }
-    }
-
     /// Notes one more frame on the bus: after those that are queued already, or right now.
     pub(super) fn note_bus_busy(&mut self, now: Instant) {
         self.busy_until = self.busy_until.max(now) + self.config.frame_time;
@@ -324,8 +310,9 @@ impl<const N: usize> Master<N> {
     /// because of the time; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let mut earliest = Earliest::default();
+        let is_all_waiting = self.broadcast.is_waiting();
         for (_, motor) in self.at(self.places.taken) {
-            motor.poll_at(&self.config, &mut earliest);
+            motor.poll_at(is_all_waiting || motor.is_waiting(), &self.config, &mut earliest);
         }
         earliest.take(self.reply_is_due());
         if self.config.is_rs485() {
@@ -345,7 +332,9 @@ impl<const N: usize> Master<N> {
             earliest.take(self.all_are_told_at());
         }
         earliest.take(self.stops_again_at());
-        self.broadcast_wait(&mut earliest);
+        if is_all_waiting || !self.places.waiting.is_empty() {
+            earliest.take(self.broadcast.next_end());
+        }
         earliest.0
     }
 }

@@ -90,37 +90,20 @@ impl Motor {
 
     /// When [`handle_timeout`](Self::handle_timeout) has something to do.
     pub(crate) fn due(&self, config: &Config, earliest: &mut Earliest) {
-        self.too_old_at(config, earliest);
+        self.poll_at(true, config, earliest);
         if self.is_in_flight() && !self.had_its_chance() && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
-        earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));
-        earliest.take(self.on_its_way.end());
-        earliest.take(self.late.next_end());
     }
 
-    /// When this motor has something to report or to send because of the time.
-    pub(crate) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
-        self.too_old_at(config, earliest);
-        if self.is_waiting() && self.settled_at > Instant::ZERO {
-            earliest.take(self.settled_at);
-        }
-        if self.stream.waiting().is_some() && !self.late.has_room() {
-            earliest.take(self.late.next_end());
-        }
-        if let Some(asked) = self.request.waiting() {
-            if self.waits_for_motion(asked, false) {
-                earliest.take(self.on_its_way.end());
-                earliest.take(self.late.end_of(asked.question));
-            } else if !asked.is_stop() {
-                earliest.take(self.late.next_end());
-            }
-        }
-    }
-
-    /// When something is late, lost or too old.
-    fn too_old_at(&self, config: &Config, earliest: &mut Earliest) {
+    /// When something is late, lost or too old and, if anything waits, when that may go because of the time.
+    pub(crate) fn poll_at(&self, is_any_waiting: bool, config: &Config, earliest: &mut Earliest) {
         earliest.take(self.deadline(config));
         earliest.take(self.stream.expiry());
+        if is_any_waiting {
+            earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));
+            earliest.take(self.on_its_way.end());
+            earliest.take(self.late.next_end());
+        }
     }
 }

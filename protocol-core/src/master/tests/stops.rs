@@ -161,6 +161,10 @@ fn requested_shutdown_is_answered_once_no_lost_set_point_can_arrive() {
         assert_eq!(reply(&mut master, 1, Shutdown.encode(), lost + Duration::from_millis(1)), None);
         // Until then nothing was heard: the bus may have been cut.
         let over = lost + Duration::from_millis(1) + Config::CAN.late_window;
+        // The set-point can no longer be answered, but still arrive.
+        let unanswered = lost + Config::CAN.late_window;
+        assert_eq!(master.poll_at(), Some(unanswered));
+        assert_eq!(sent(&mut master, unanswered), []);
         assert_eq!(master.poll_at(), Some(over));
         assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
         let reported = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
