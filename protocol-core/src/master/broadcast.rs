@@ -428,9 +428,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         self.check(kind, Target::All)?;
         if kind.moves() {
-            for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.note_restart_if_silent(config, now));
-            }
+            self.change_all(|motor, config| motor.note_restart_if_silent(config, now));
             if self.has_any_restarted() {
                 return Err(RequestError::Restarted);
             }
@@ -449,15 +447,12 @@ impl<const N: usize> Master<N> {
         if kind.ends_motion() {
             // What was offered may be a set-point that this command ends.
             self.offer = None;
-            self.due = now;
             self.is_any_off_since |= kind == Kind::Known(Opcode::Shutdown);
             let off = self.stop_that_lets_go(kind);
             if off.is_some() {
                 self.let_line_answer();
             }
-            for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
-            }
+            self.change_all(|motor, config| motor.end_with_all(off, config, now));
             // It may have to go to each motor individually.
             self.end_motion_of_all();
         }

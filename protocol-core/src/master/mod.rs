@@ -340,13 +340,11 @@ impl<const N: usize> Master<N> {
     #[cold]
     fn withdraw_up_to(&mut self, newest: u32) {
         let now = self.now;
-        for place in self.places.taken.iter() {
-            self.change_at(place, |motor, config| {
-                if !is_before(newest, motor.ticket) {
-                    motor.withdraw(config, now);
-                }
-            });
-        }
+        self.change_all(|motor, config| {
+            if !is_before(newest, motor.ticket) {
+                motor.withdraw(config, now);
+            }
+        });
         if self.broadcast.is_waiting() && !self.broadcast.is_after(newest) {
             self.broadcast.cancel_what_moves();
         }
@@ -361,10 +359,7 @@ impl<const N: usize> Master<N> {
             self.broadcast.cancel();
         }
         self.broadcast.on_its_way.extend(now + self.config.late_window);
-        self.due = now;
-        for place in self.places.taken.iter() {
-            self.change_at(place, |motor, config| motor.bus_is_down(now, config));
-        }
+        self.change_all(|motor, config| motor.bus_is_down(now, config));
     }
 
     /// Returns the next event, apart from those that [`handle_frame`](Self::handle_frame) and

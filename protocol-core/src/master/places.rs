@@ -206,7 +206,7 @@ impl<const N: usize> Master<N> {
         places.iter().filter_map(|place| Some((place, self.motors.get(place)?)))
     }
 
-    /// Changes a motor that has a place; see [`Places::change`].
+    /// Changes a motor that has a place; see [`Places::change`]. From then on time may have something to do with it.
     pub(super) fn change<R>(
         &mut self,
         motor: MotorId,
@@ -216,7 +216,15 @@ impl<const N: usize> Master<N> {
         self.change_at(self.places.of(motor)?, change)
     }
 
-    /// As [`change`](Self::change), by its place.
+    /// As [`change`](Self::change), all motors that have one.
+    pub(super) fn change_all<R>(&mut self, mut change: impl FnMut(&mut Motor, &Config) -> R) {
+        self.due = self.now;
+        for place in self.places.taken.iter() {
+            self.change_at(place, &mut change);
+        }
+    }
+
+    /// Changes the motor at a place, for a caller that itself sees to it that [`due`](Master::due) is right.
     #[inline]
     pub(super) fn change_at<R>(
         &mut self,

@@ -255,12 +255,12 @@ impl<const N: usize> Master<N> {
         // What was offered may be a set-point that this command ends.
         self.offer = None;
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
-        let place = self.place_for(motor)?;
+        self.place_for(motor)?;
         if kind.ends_motion() {
             self.let_line_answer();
             self.broadcast.cancel_what_moves();
         }
-        self.change_at(place, |motor, config| {
+        self.change(motor, |motor, config| {
             if !motor.request.is_none()
                 || motor.news.intersects(News::STOPPED | News::STOPPED_AGAIN)
             {

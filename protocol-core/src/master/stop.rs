@@ -371,12 +371,9 @@ impl<const N: usize> Master<N> {
         self.is_any_off_since = false;
         self.stop_to_all_sent = now;
         self.stop_to_all_was = Some(kind);
-        self.due = now;
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;
-        for place in self.places.taken.iter() {
-            self.change_at(place, |motor, config| motor.stop_to_all_was_sent(told, until, config));
-        }
+        self.change_all(|motor, config| motor.stop_to_all_was_sent(told, until, config));
         if !self.config.is_rs485() {
             self.broadcast.stop_was_sent(told.kind, until, &self.config);
         }
@@ -388,9 +385,7 @@ impl<const N: usize> Master<N> {
         let Some(kind) = self.stops_all.filter(is_it) else { return false };
         let is_undone = kind == StopKind::Hold && self.is_any_off_since;
         let told = kind.question();
-        for place in self.places.taken.iter() {
-            self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, packet));
-        }
+        self.change_all(|motor, _| motor.stop_to_all_was_pushed_out(told, packet));
         if self.is_same_for_all(kind) && !is_undone {
             self.stop_to_all = Some(kind);
         }

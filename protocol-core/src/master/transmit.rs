@@ -155,12 +155,10 @@ impl<const N: usize> Master<N> {
                     if kind.is_refused_while_stopped() || kind.ends_motion() {
                         self.stop_to_all_was = None;
                     }
-                    for place in self.places.taken.iter() {
-                        self.change_at(place, |motor, config| {
-                            motor.note_sent(kind, &data, config, now);
-                            motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
-                        });
-                    }
+                    self.change_all(|motor, config| {
+                        motor.note_sent(kind, &data, config, now);
+                        motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
+                    });
                 }
                 self.broadcast.was_sent(now, &self.config);
                 if !self.broadcast.is_in_flight() {
@@ -204,7 +202,6 @@ impl<const N: usize> Master<N> {
     pub fn handle_pushed_out(&mut self, packet: &Packet) {
         self.handle_transmitted(self.now);
         self.mailboxes_until.get_or_insert(self.now);
-        self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
                 let now = self.now;

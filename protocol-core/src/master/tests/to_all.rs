@@ -529,6 +529,22 @@ fn sent_reset_ends_a_waiting_move_to_all_in_time() {
     assert_eq!(packets.len(), 2, "the restart and the angle");
 }
 
+/// The time at which a dropped attempt can no longer be answered is noticed, although nothing is sent meanwhile.
+#[test]
+fn broadcast_goes_once_no_dropped_request_can_be_answered_in_its_place() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    let _ = ask(master, 1, ReleaseBrake, ms(0));
+    master.handle_timeout(ms(21));
+    // It waits to be sent again, and is dropped.
+    assert_eq!(master.request(id(1), Shutdown).unwrap_err(), RequestError::Busy);
+    assert_eq!(events(master, ms(21)).len(), 1);
+    master.broadcast(ReleaseBrake, id(1).into()).unwrap();
+    assert_eq!(sent(master, ms(21)), []);
+    let over = ms(21) + Config::CAN.late_window;
+    assert_eq!(master.poll_at(), Some(over));
+    assert_eq!(sent(master, over).len(), 1);
+}
+
 /// A stop has ended the broadcast. Its answer comes, and the same frame once more.
 #[test]
 fn duplicate_answer_to_an_ended_broadcast_confirms_no_stop() {
