@@ -327,7 +327,8 @@ impl<const N: usize> Master<N> {
                 if under_way.contains(place) || lingers() {
                     self.change_at(place, |motor, config| {
                         motor.handle_timeout(now, is_quiet, heard_at, config);
-                        motor.due(config, &mut next);
+                        // The bus may be quiet sooner than it seems now.
+                        motor.poll_at(true, Instant::ZERO, config, &mut next);
                     });
                 }
             }

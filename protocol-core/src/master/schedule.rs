@@ -5,7 +5,7 @@ use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Proof};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::transmit::ForAll;
-use crate::master::{Bus, Config, Master, Offer};
+use crate::master::{Bus, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
@@ -291,30 +291,15 @@ impl<const N: usize> Master<N> {
         self.broadcast.sent_at().max(self.stop_to_all_sent)
     }
 
-    /// When the first reply in flight is due on a quiet bus. Not used on RS485, where only one motor is asked at a
-    /// time.
-    fn reply_is_due(&self) -> Option<Instant> {
-        if self.config.is_rs485() {
-            return None;
-        }
-        let mut first_sent = Earliest::default();
-        for (_, motor) in self.at(self.places.in_flight) {
-            first_sent.take((!motor.had_its_chance()).then_some(motor.sent));
-        }
-        let Config { longest_response, reply_timeout, .. } = self.config;
-        let sent = first_sent.0?;
-        Some((sent + longest_response).max(self.quiet_at().min(sent + reply_timeout)))
-    }
-
     /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have something to do
     /// because of the time; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let mut earliest = Earliest::default();
-        let is_all_waiting = self.broadcast.is_waiting();
+        let (is_all_waiting, quiet_at) = (self.broadcast.is_waiting(), self.quiet_at());
         for (_, motor) in self.at(self.places.taken) {
-            motor.poll_at(is_all_waiting || motor.is_waiting(), &self.config, &mut earliest);
+            let is_any_waiting = is_all_waiting || motor.is_waiting();
+            motor.poll_at(is_any_waiting, quiet_at, &self.config, &mut earliest);
         }
-        earliest.take(self.reply_is_due());
         if self.config.is_rs485() {
             let offered_at = if self.is_anything_in_flight() {
                 self.choose_interruption().map(|(at, _)| at.max(self.busy_until))

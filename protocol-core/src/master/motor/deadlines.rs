@@ -88,18 +88,22 @@ impl Motor {
         self.request_has_failed(Failure::NoReply, config, now);
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) has something to do.
-    pub(crate) fn due(&self, config: &Config, earliest: &mut Earliest) {
-        self.poll_at(true, config, earliest);
-        if self.is_in_flight() && !self.had_its_chance() && !config.is_rs485() {
-            earliest.take(self.sent + config.longest_response);
-        }
-    }
-
-    /// When something is late, lost or too old and, if anything waits, when that may go because of the time.
-    pub(crate) fn poll_at(&self, is_any_waiting: bool, config: &Config, earliest: &mut Earliest) {
+    /// When something is late, lost or too old, or the reply in flight is due on a bus that is quiet at `quiet_at`. Also,
+    /// if anything waits, when that may go because of the time.
+    pub(crate) fn poll_at(
+        &self,
+        is_any_waiting: bool,
+        quiet_at: Instant,
+        config: &Config,
+        earliest: &mut Earliest,
+    ) {
         earliest.take(self.deadline(config));
         earliest.take(self.stream.expiry());
+        // Not used on RS485, where only one motor is asked at a time.
+        if self.is_in_flight() && !self.had_its_chance() && !config.is_rs485() {
+            let latest = quiet_at.min(self.sent + config.reply_timeout);
+            earliest.take(latest.max(self.sent + config.longest_response));
+        }
         if is_any_waiting {
             earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));
             earliest.take(self.on_its_way.end());
