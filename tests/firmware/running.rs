@@ -25,6 +25,8 @@ pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a test watches that nothing starts on its own. After a stop that was not caused by the button, the firmware
 /// ignores the button for one second. This is longer, so that the next press counts even if something came late.
 pub(crate) const WATCH: Duration = Duration::from_millis(1_200);
+/// For this time after its start the firmware ignores a press: the motors may have been running until then.
+const IGNORES_PRESSES: Duration = Duration::from_millis(1_000);
 /// How long silent motors need, once they are reachable again, until the firmware has sent them a command to hold. From
 /// then on it ignores the button for one second. On RS485 four silent motors get another stop only every 400 ms, and
 /// each then answers two queries of a round of 80 ms.
@@ -117,6 +119,7 @@ pub(crate) fn stopped_with((board, program): Program, adapter: Adapter) -> Firmw
     let mut firmware = Firmware::start(board, program, &fleet, adapter);
     firmware.wait_for("Started { cause: Power }", TIMEOUT);
     firmware.wait_for("State(Stopped)", TIMEOUT);
+    thread::sleep(IGNORES_PRESSES);
     firmware
 }
 

@@ -80,10 +80,8 @@ impl<const N: usize> App<N> {
             button: Button::new(at.now),
             next_cycle: at.now,
         };
-        if cause != RestartCause::Power {
-            // The motors may have been running, and stop now.
-            app.button.stopped(at.now);
-        }
+        // The motors may have been running, whatever the cause: the supply may have failed for a moment.
+        app.button.stopped(at.now);
         app.stop(setup.stop, at);
         app
     }
@@ -153,7 +151,7 @@ impl<const N: usize> App<N> {
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
-            (State::Stopped { .. }, Press::Short) => {
+            (&State::Stopped { kind, .. }, Press::Short) => {
                 // Its errors are read and reported once more.
                 self.locks.forget_errors();
                 let failed = self.beliefs.those(Belief::has_failed);
@@ -163,7 +161,8 @@ impl<const N: usize> App<N> {
                 }
                 self.motors.clear();
                 let all = self.known();
-                self.enter(State::Finding(Script::new(Part::Find, all, at.now)), at);
+                let script = Script::new(Part::Find, all, at.now);
+                self.enter(State::Finding { script, kind }, at);
             }
             (State::Stopped { .. }, Press::Long) => {
                 self.locks.shut_down(self.expected);
@@ -211,10 +210,10 @@ impl<const N: usize> App<N> {
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let found = self.found();
         match &mut self.state {
-            State::Finding(_) if found.is_empty() => {
+            State::Finding { .. } if found.is_empty() => {
                 self.trouble(Trouble::NoMotor, at);
             }
-            State::Finding(_) => {
+            State::Finding { .. } => {
                 // It was not told to hold again yet. Whoever saw it let go pressed to stop it.
                 let gone = self.beliefs.those(Belief::has_let_go);
                 if let Some(motor) = found.iter().find(|&motor| gone.contains(motor)) {

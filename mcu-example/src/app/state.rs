@@ -20,7 +20,11 @@ pub(super) enum State {
         unconfirmed: MotorSet,
         again: Instant,
     },
-    Finding(Script),
+    Finding {
+        script: Script,
+        /// Of the stop, which is in force until motors are prepared.
+        kind: StopKind,
+    },
     Preparing(Script),
     Running {
         since: Instant,
@@ -47,7 +51,7 @@ impl State {
         match self {
             Self::Stopping { .. } => StateName::Stopping,
             Self::Stopped { .. } => StateName::Stopped,
-            Self::Finding(_) => StateName::Finding,
+            Self::Finding { .. } => StateName::Finding,
             Self::Preparing(_) => StateName::Preparing,
             Self::Running { .. } => StateName::Running,
             Self::ShuttingDown { .. } => StateName::ShuttingDown,
@@ -58,7 +62,7 @@ impl State {
     /// The script of this state.
     pub(super) fn script(&mut self) -> Option<&mut Script> {
         match self {
-            Self::Finding(script)
+            Self::Finding { script, .. }
             | Self::Preparing(script)
             | Self::ShuttingDown { script, .. }
             | Self::Looking { script, .. } => Some(script),

@@ -70,6 +70,8 @@ impl<const N: usize> App<N> {
                 self.beliefs.see_all(self.expected, Seen::MayTurn);
                 self.stop(self.setup.stop, at);
             }
+            // A motor that is off stays off.
+            (&mut State::Finding { kind, .. }, _) => self.stop(kind, at),
             // Brakes may be opening.
             (State::Preparing(_), _) => {
                 self.locks.move_now(self.expected, at.now);
@@ -191,7 +193,7 @@ impl<const N: usize> App<N> {
             }
             // They are to hold soon, whatever the last stop was. Ids without a motor may keep them waiting. The button
             // may have been pressed before all were checked.
-            State::Finding(_) | State::Preparing(_) => {
+            State::Finding { .. } | State::Preparing(_) => {
                 self.beliefs.those(|it| it.is_watched() || it.is_unchecked())
             }
             // Their shafts are checked, or nothing holds them, or they move.
@@ -208,7 +210,7 @@ impl<const N: usize> App<N> {
         self.beliefs.see_all(self.watched(at.now), Seen::MayTurn);
         match self.state {
             // A stop would wait for ids without a motor.
-            State::Finding(_) => _ = self.look(self.setup.stop, MotorSet::EMPTY, at),
+            State::Finding { kind, .. } => _ = self.look(kind, MotorSet::EMPTY, at),
             State::Preparing(_) => self.stop(self.setup.stop, at),
             _ => return,
         }

@@ -134,6 +134,7 @@ fn a_required_motor_must_be_found_wherever_is_searched<B: Moved>() {
         let setup = Setup { required: id(required).into(), ..B::setup() };
         let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
         firmware.run_until(Report::Stopped { unconfirmed: id(required).into() }, millis(1_500));
+        firmware.run_for(millis(1_000));
         firmware.press(millis(50));
         let silent = Trouble::Silent { motor: id(required) };
         firmware.run_until(Report::Trouble(silent), millis(1_500));

@@ -18,7 +18,7 @@ on_both_buses! {
     a_bus_error_in_any_state_stops
     a_press_right_after_a_stop_by_something_else_starts_nothing
     a_press_right_after_a_stop_by_the_button_starts
-    a_press_right_after_a_restart_by_the_watchdog_starts_nothing
+    a_press_right_after_a_start_starts_nothing
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     a_motor_that_restarted_before_it_was_looked_for_runs
     no_brake_opens_while_a_motor_has_an_error
@@ -112,18 +112,20 @@ fn a_press_right_after_a_stop_by_the_button_starts<B: Moved>() {
     assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
 
-/// The motors may have been running until the watchdog restarted the firmware.
-fn a_press_right_after_a_restart_by_the_watchdog_starts_nothing<B: Moved>() {
-    let bus = B::drives(&Fleet::new(2)).unwrap();
-    let mut firmware = Firmware::start(&bus, Panel::default());
-    let now = firmware.runner.now();
-    let at = &mut Moment { now, master: firmware.runner.master(), board: &mut firmware.panel };
-    firmware.app = App::start(B::setup(), RestartCause::Watchdog, at);
-    firmware.run_for(millis(400));
-    firmware.press(millis(50));
-    firmware.stays_stopped();
-    firmware.press(millis(50));
-    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+/// The motors may have been running until then. A brown-out looks like the first start.
+fn a_press_right_after_a_start_starts_nothing<B: Moved>() {
+    for cause in [RestartCause::Power, RestartCause::Watchdog] {
+        let bus = B::drives(&Fleet::new(2)).unwrap();
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        let now = firmware.runner.now();
+        let at = &mut Moment { now, master: firmware.runner.master(), board: &mut firmware.panel };
+        firmware.app = App::start(B::setup(), cause, at);
+        firmware.run_for(millis(400));
+        firmware.press(millis(50));
+        firmware.stays_stopped();
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    }
 }
 
 /// The motors' supply is switched off and on before the button is pressed for the first time.

@@ -38,6 +38,7 @@ on_both_buses! {
     a_load_that_sinks_before_it_ran_is_no_slip
     a_load_that_sinks_after_a_start_that_was_broken_off_is_no_slip
     a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free
+    a_shaft_that_is_turned_by_hand_after_a_start_was_broken_off_stays_free
     a_shaft_that_is_turned_by_hand_before_a_shutdown_is_over_stays_free
 }
 
@@ -112,6 +113,7 @@ fn a_watched_motor_with_an_error_is_reported_whatever_the_cycle<B: Moved>() {
         firmware.run_for(millis(200));
         let last = bus.drives.last().unwrap();
         if is_one {
+            firmware.run_for(millis(1_000));
             firmware.press(millis(50));
             firmware.run_until(Report::State(StateName::Running), millis(3_000));
             firmware.press(millis(50));
@@ -481,6 +483,23 @@ fn a_shaft_that_is_turned_by_hand_after_a_shutdown_stays_free<B: Moved>() {
     slips(&bus.drives[1]);
     firmware.run_for(millis(1_000));
     assert_eq!(firmware.troubles(), []);
+    assert!(bus.drives.iter().all(is_off));
+}
+
+/// After a shutdown, too. What was switched off is not switched on by a start that came to nothing.
+fn a_shaft_that_is_turned_by_hand_after_a_start_was_broken_off_stays_free<B: Moved>() {
+    let bus = loaded::<B>(2, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(1_000));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Finding), millis(100));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Stopped), millis(1_500));
+    firmware.run_for(millis(1_000));
+    slips(&bus.drives[1]);
+    firmware.run_for(millis(1_000));
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
     assert!(bus.drives.iter().all(is_off));
 }
 
