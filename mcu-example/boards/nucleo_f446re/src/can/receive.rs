@@ -21,7 +21,7 @@ const QUEUE: usize = 32;
 pub(crate) struct CanErrors {
     /// How often the controller had no place free.
     overruns: u32,
-    /// How many found the queue full.
+    /// How many found the queue full, or have a length code above eight.
     dropped: u32,
 }
 
@@ -81,18 +81,36 @@ pub(crate) fn can_usage() -> Usage {
     with_receiver(usage).unwrap_or_default()
 }
 
+/// Drops the controller's first frame if its length code is above eight, and returns whether it was. Such a frame has
+/// eight bytes, but no drive and no master sends it, and `Frame` panics when it is asked for its data.
+fn drop_too_long() -> bool {
+    // SAFETY: the registers are there at all times. The one that is written here is otherwise written by this interrupt
+    // alone.
+    let registers = unsafe { &*CAN1::ptr() };
+    let is_any = registers.rf0r().read().fmp().bits() > 0;
+    let is_too_long = is_any && registers.rx(0).rdtr().read().dlc().bits() > 8;
+    if is_too_long {
+        registers.rf0r().write(|w| w.rfom().set_bit());
+    }
+    is_too_long
+}
+
 #[interrupt]
 fn CAN1_RX0() {
     with_receiver(|receiver| {
         loop {
-            let counter = match receiver.fifo.receive() {
-                Ok(frame) => match receiver.queue.push_back(frame) {
-                    Ok(()) => continue,
-                    Err(_) => &mut receiver.errors.dropped,
-                },
-                // Reading it has cleared it.
-                Err(nb::Error::Other(_)) => &mut receiver.errors.overruns,
-                Err(nb::Error::WouldBlock) => break,
+            let counter = if drop_too_long() {
+                &mut receiver.errors.dropped
+            } else {
+                match receiver.fifo.receive() {
+                    Ok(frame) => match receiver.queue.push_back(frame) {
+                        Ok(()) => continue,
+                        Err(_) => &mut receiver.errors.dropped,
+                    },
+                    // Reading it has cleared it.
+                    Err(nb::Error::Other(_)) => &mut receiver.errors.overruns,
+                    Err(nb::Error::WouldBlock) => break,
+                }
             };
             *counter = counter.saturating_add(1);
             receiver.dropped = receiver.dropped.saturating_add(1);
