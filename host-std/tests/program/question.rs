@@ -22,7 +22,13 @@ pub(crate) fn terminal() -> (File, OwnedFd) {
 
 /// Runs the program until it asks. Returns it, the end to type the answer on, and the question.
 fn asked(arguments: &str) -> (Child, File, String) {
-    let (keys, stdin) = terminal();
+    asked_after("", arguments)
+}
+
+/// The same, after this was typed.
+fn asked_after(typed: &str, arguments: &str) -> (Child, File, String) {
+    let (mut keys, stdin) = terminal();
+    keys.write_all(typed.as_bytes()).unwrap();
     let mut program = myactuator();
     program.args(arguments.split_whitespace());
     program.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -75,4 +81,26 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
         let stays = control(socket, &["state"]).contains(&format!("motor 1: {degrees}.00 deg"));
         assert_eq!(stays, status == 1, "{answer} {degrees}");
     }
+}
+
+#[test]
+fn what_was_typed_before_the_question_does_not_answer_it() {
+    let (_folder, path, simulation) = controlled(1);
+    let socket = path.to_str().unwrap();
+    let speed =
+        format!("speed --id 1 --speed-dps 30 --for-s 0.2 --bus {}", simulation.bus("slcan"));
+    let attempt = || {
+        let (process, mut keys, question) = asked_after("y\n", &speed);
+        let _ = writeln!(keys, "n");
+        let ended = process.wait_with_output().unwrap();
+        (ended.status.code(), question, text(&ended.stderr).to_owned())
+    };
+    let is_silent = |(_, asked, errors): &(_, String, String)| {
+        tells_of_silence(asked) || tells_of_silence(errors)
+    };
+    let (status, question, errors) = unless_late(attempt, is_silent);
+    assert!(question.contains("turn at 30 dps with no limit of torque"), "{question}");
+    assert!(errors.ends_with("error: not confirmed, so nothing was done\n"), "{errors}");
+    assert_eq!(status, Some(1));
+    assert!(control(socket, &["state"]).contains("motor 1: 0.00 deg"));
 }

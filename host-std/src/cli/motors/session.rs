@@ -16,6 +16,8 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, MotorSet};
 use myactuator_protocol_core::opcode::Repeat;
 use myactuator_protocol_core::{Kind, MotorId, Opcode, Target};
+use rustix::process::getpgrp;
+use rustix::termios::{QueueSelector, tcflush, tcgetpgrp};
 
 use super::elsewhere::{Watched, stopped_elsewhere};
 use super::moving::LONGEST_WAIT;
@@ -23,6 +25,17 @@ use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
 use crate::cli::{Outcome, Unfinished, interrupt, outcome, printable, printer, report, unwritten};
+
+/// What was typed before a question does not answer it.
+fn forget_typed() {
+    let stdin = io::stdin();
+    // That would halt a program in the background.
+    let is_in_background = tcgetpgrp(&stdin).is_ok_and(|foreground| foreground != getpgrp());
+    if !is_in_background {
+        // It fails if it is no terminal, but for example a pipe, which may hold the answer.
+        let _ = tcflush(&stdin, QueueSelector::IFlush);
+    }
+}
 
 /// Whether the user has already said yes.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -238,6 +251,7 @@ impl Session {
         }
         // Notes come before the question.
         let _ = printer::ERR.wait_for(outcome::IN_ORDER);
+        forget_typed();
         let mut ask = io::stderr().lock();
         write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(|error| unwritten(&error))?;
         let mut answer = String::new();

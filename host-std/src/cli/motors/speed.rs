@@ -30,7 +30,7 @@ pub(in crate::cli) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let (speed, max_torque) = (arguments.speed_dps, arguments.max_torque_pct);
     let torque = match max_torque.raw() {
-        0 => String::new(),
+        0 => " with no limit of torque".to_owned(),
         _ => format!(" with at most {max_torque}"),
     };
     let run = Run {

@@ -52,6 +52,9 @@ fn fails(folder: &Path, error: &io::Error) -> String {
     format!("cannot use the folder {}: {error}", folder.display())
 }
 
+/// Where pseudo-terminals are.
+const PSEUDO_TERMINALS: &str = "/dev/pts";
+
 /// Links to pseudo-terminals. Each belongs to one simulation. They are removed on drop.
 #[derive(Debug)]
 pub(super) struct Links {
@@ -74,7 +77,8 @@ impl Links {
     }
 
     /// Makes a link of this name if links are wanted. Replaces a link of an earlier run, but not one that another
-    /// simulation has.
+    /// simulation has, nor one to anything that is no pseudo-terminal: a stop meant for a real bus would go to simulated
+    /// drives.
     pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
         let Some(folder) = &self.folder else { return Ok(None) };
         let link = folder.join(name);
@@ -85,7 +89,12 @@ impl Links {
         let is_link = fs::symlink_metadata(&link).map(|found| found.is_symlink());
         let made = match is_link {
             Ok(false) => Err(io::Error::other("something that is not a link has this name")),
-            Ok(true) => fs::remove_file(&link).and_then(|()| symlink(target, &link)),
+            Ok(true) => match fs::canonicalize(&link) {
+                Ok(found) if !found.starts_with(PSEUDO_TERMINALS) => Err(io::Error::other(
+                    format!("it is there, and leads to {}: take another folder", found.display()),
+                )),
+                _ => fs::remove_file(&link).and_then(|()| symlink(target, &link)),
+            },
             Err(_) => symlink(target, &link),
         };
         made.map_err(|error| format!("the link {} cannot be made: {error}", link.display()))?;
@@ -123,10 +132,14 @@ mod tests {
         second.add("slcan", Path::new("/dev/zero")).unwrap();
         drop(first);
         assert!(fs::symlink_metadata(&link).is_err());
-        // The link that a killed simulation has left.
-        symlink("/dev/full", &link).unwrap();
-        second.add("rs485", Path::new("/dev/zero")).unwrap();
-        assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/zero"));
+        // The link that a killed simulation has left. Another terminal may have the number now.
+        for abandoned in ["/dev/pts/65535", "/dev/pts/ptmx"] {
+            let _ = fs::remove_file(&link);
+            symlink(abandoned, &link).unwrap();
+            let mut next = links();
+            next.add("rs485", Path::new("/dev/zero")).unwrap();
+            assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/zero"));
+        }
         drop(second);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         fs::write(&link, "mine").unwrap();
@@ -134,6 +147,18 @@ mod tests {
         assert!(third.add("rs485", Path::new("/dev/null")).unwrap_err().contains("not a link"));
         drop(third);
         assert_eq!(fs::read_to_string(&link).unwrap(), "mine");
+    }
+
+    #[test]
+    fn link_to_a_real_port_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("rs485");
+        symlink("/dev/null", &link).unwrap();
+        let mut links = Links::in_folder(Some(folder.path())).unwrap();
+        let message = links.add("rs485", Path::new("/dev/zero")).unwrap_err();
+        assert!(message.ends_with("leads to /dev/null: take another folder"), "{message}");
+        drop(links);
+        assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/null"));
     }
 
     #[test]
