@@ -3,6 +3,8 @@
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
+use std::sync::Arc;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -19,7 +21,7 @@ const LARGEST_RATE_ERROR: u32 = 40;
 
 #[derive(Debug)]
 pub(super) struct Tty {
-    port: OwnedFd,
+    port: Arc<OwnedFd>,
     name: String,
 }
 
@@ -43,7 +45,7 @@ impl Tty {
         rustix::fs::flock(&port, FlockOperation::NonBlockingLockExclusive)
             .and_then(|()| rustix::termios::ioctl_tiocexcl(&port))
             .map_err(failed)?;
-        let tty = Self { port, name };
+        let tty = Self { port: Arc::new(port), name };
         tty.configure(bit_rate)?;
         latency::shorten(adapters, path);
         Ok(tty)
@@ -136,10 +138,19 @@ impl Tty {
 /// program has open. The lock lives as long as any copy of the file descriptor: that of a clock, or of a wait that was
 /// given up.
 impl Drop for Tty {
+    /// Gives the port back to others. A thread closes it, as that waits until all that was written has left: 30 s where
+    /// an adapter takes nothing. Meanwhile a user would not learn that a motor has not confirmed its stop.
     fn drop(&mut self) {
         // For a port that has gone there is nothing to release.
         let _ = rustix::termios::ioctl_tiocnxcl(&self.port);
         let _ = rustix::fs::flock(&self.port, FlockOperation::Unlock);
+        let port = Arc::clone(&self.port);
+        let closing = thread::Builder::new().name("myactuator-close".to_owned());
+        let _ = closing.spawn(move || {
+            while Arc::strong_count(&port) > 1 {
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
     }
 }
 
