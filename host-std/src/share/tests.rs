@@ -206,6 +206,22 @@ fn the_last_handle_stops_the_motors_and_ends_the_thread() {
     assert_eq!(events.next(), None);
 }
 
+/// Whoever waits for a stop needs no handle.
+#[test]
+fn stop_that_is_waited_for_is_confirmed_although_the_last_handle_has_gone() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    hold_up(&order);
+    let stop = bus.begin_stop_all(StopKind::Off, id(2).into());
+    let dropping = thread::spawn(move || drop(bus));
+    order.store(WORK, Ordering::SeqCst);
+    assert_eq!(stop.wait().unwrap(), id(2).into(), "there is no such motor");
+    dropping.join().unwrap();
+    // It would be held if the end of the bus had undone the stop.
+    let state = fleet.drives[0].with(|drive| drive.state());
+    assert!(!state.output_on, "{state:?}");
+}
+
 #[test]
 fn guard_stops_the_motors_at_its_end_though_another_handle_exists() {
     let (fleet, bus) = shared(1);

@@ -33,18 +33,24 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     let mut worker =
         Worker { runner, asked, stopping, waiting, turn_ends, taken_at, looked_at, has_failed };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
-    if let Err(payload) = outcome {
-        desk.has_panicked(words(&*payload));
+    if let Err(payload) = &outcome {
+        desk.has_panicked(words(&**payload));
     }
-    // Callers that wait find out now, and need not wait for the stop.
     let Worker { mut runner, asked, stopping, waiting, .. } = worker;
-    drop((asked, stopping, waiting));
+    // Callers that wait find out now, and need not wait for the stop, unless it is a stop that they wait for. After a
+    // panic nothing ends that.
+    drop((asked, waiting));
+    let stopping = if outcome.is_ok() { stopping } else { Vec::new() };
     let all = runner.master().motors();
     // A driver that has panicked may do it again: then no motor has confirmed.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
-    // Only subscriptions are left.
-    for motor in stopped.unwrap_or(all).iter() {
+    let unconfirmed = stopped.unwrap_or(all);
+    for motor in unconfirmed.iter() {
         desk.publish(&Event::StopUnconfirmed { motor });
+    }
+    for stop in stopping {
+        let confirmed = stop.running.without(unconfirmed);
+        let _ = stop.answer.send(Ok(stop.running.with(stop.unconfirmed).without(confirmed)));
     }
     desk.end();
 }
