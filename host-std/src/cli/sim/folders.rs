@@ -77,8 +77,7 @@ impl Links {
     }
 
     /// Makes a link of this name if links are wanted. Replaces a link of an earlier run, but not one that another
-    /// simulation has, nor one to anything that is no pseudo-terminal: a stop meant for a real bus would go to simulated
-    /// drives.
+    /// simulation has. Nor one to anything but a pseudo-terminal: a stop for a real bus would go to simulated drives.
     pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
         let Some(folder) = &self.folder else { return Ok(None) };
         let link = folder.join(name);
