@@ -214,15 +214,16 @@ impl<const N: usize> Master<N> {
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
-        // A request that was put before the broadcast goes first, unless the broadcast ends motion.
+        // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind does
+        // even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
+        let goes = |motor: &Motor, asked: &Asked| {
+            asked.kind().byte() == question.kind.byte() || self.request_may_go(motor, asked)
+        };
         let was_asked_before = |motor: &Motor| {
             !question.kind.ends_motion()
                 && self.broadcast.is_after(motor.ticket)
                 && motor.is_settled(self.now)
-                && motor
-                    .request
-                    .waiting()
-                    .is_some_and(|it| !it.is_stop() && self.request_may_go(motor, it))
+                && motor.request.waiting().is_some_and(|it| !it.is_stop() && goes(motor, it))
         };
         // A stream of this kind, however long it goes on, does not keep it back: feedback is not taken for its answer.
         let keeps_back = |motor: &Motor| {

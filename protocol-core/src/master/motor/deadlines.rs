@@ -88,8 +88,8 @@ impl Motor {
         self.request_has_failed(Failure::NoReply, config, now);
     }
 
-    /// When something is late, lost or too old, or the reply in flight is due on a bus that is quiet at `quiet_at`. Also,
-    /// if anything waits, when that may go because of the time.
+    /// When something is late, lost or too old, or the reply in flight is due on a bus that is quiet at `quiet_at`.
+    /// Also when something may go because of the time, if anything waits.
     pub(crate) fn poll_at(
         &self,
         is_any_waiting: bool,

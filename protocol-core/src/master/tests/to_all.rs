@@ -545,6 +545,23 @@ fn broadcast_goes_once_no_dropped_request_can_be_answered_in_its_place() {
     assert_eq!(sent(master, over).len(), 1);
 }
 
+/// It would then wait for the answers to that, too.
+#[test]
+fn request_that_waits_for_a_late_reply_goes_before_a_later_command_to_all_of_its_kind() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    let [read, of_all] = [1, 4].map(|index| ReadPid { index: PidIndex::from_raw(index) });
+    let _ = master.request_with(id(1), read, once(5)).unwrap();
+    sent(master, ms(0));
+    assert_eq!(events(master, ms(5)).len(), 1);
+    let _ = master.request_with(id(1), read, once(5)).unwrap();
+    master.broadcast(of_all, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(master, ms(6)), []);
+    let over = ms(5) + Config::CAN.late_window;
+    assert_eq!(sent(master, over), [packet_to(1, read.encode())]);
+    reply(master, 1, read.encode(), over + Duration::from_millis(1));
+    assert_eq!(sent(master, over + Duration::from_millis(1)), [packet_to_all(of_all.encode())]);
+}
+
 /// A stop has ended the broadcast. Its answer comes, and the same frame once more.
 #[test]
 fn duplicate_answer_to_an_ended_broadcast_confirms_no_stop() {
