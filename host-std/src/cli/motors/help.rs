@@ -4,8 +4,8 @@
 pub(super) const STOPS: &str = "\
 Whatever ends this program early stops the motor (0x81) first: an error, a fault of this program, a lost terminal, \
 Ctrl-C, Ctrl-\\, Ctrl-Z, SIGTERM and any other signal that would end it and can be caught, except those of a fault \
-(SIGSEGV and the like), even if nobody reads what is printed. A second Ctrl-C does not wait until the motor stands. If another program on the bus stops the motor or switches it off, this \
-program ends, too.
+(SIGSEGV and the like), even if nobody reads what is printed. A second Ctrl-C does not wait until the motor stands. If \
+another program on the bus stops the motor or switches it off, this program ends, too.
 Nothing stops the motor if this program is killed or frozen (kill -9, kill -STOP, a debugger, loss of power), or if the \
 bus is cut. For that case set the motor's own communication-loss protection: 'myactuator timeout'.";
 
