@@ -41,6 +41,21 @@ fn asked_after(typed: &str, arguments: &str) -> (Child, File, String) {
     (process, keys, text(&message).to_owned())
 }
 
+/// The exit status, the question, and what was reported after the answer.
+type Ended = (Option<i32>, String, String);
+
+/// Answers the question, and waits until the program ends.
+fn answered(process: Child, keys: &mut File, question: String, answer: &str) -> Ended {
+    // It may have given up before it asks.
+    let _ = writeln!(keys, "{answer}");
+    let ended = process.wait_with_output().unwrap();
+    (ended.status.code(), question, text(&ended.stderr).to_owned())
+}
+
+fn is_silent((_, question, errors): &Ended) -> bool {
+    tells_of_silence(question) || tells_of_silence(errors)
+}
+
 #[test]
 fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
     let (_folder, path, simulation) = controlled(1);
@@ -67,13 +82,7 @@ fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
                 assert!(question.starts_with(expected), "{question}");
             }
             control(socket, &["angle", "--id", "1", degrees]);
-            // It may have given up before it asks.
-            let _ = writeln!(keys, "{answer}");
-            let ended = process.wait_with_output().unwrap();
-            (ended.status.code(), question, text(&ended.stderr).to_owned())
-        };
-        let is_silent = |(_, asked, errors): &(_, String, String)| {
-            tells_of_silence(asked) || tells_of_silence(errors)
+            answered(process, &mut keys, question, answer)
         };
         let (ended, _, errors) = unless_late(attempt, is_silent);
         assert_eq!(ended, Some(status), "{degrees}: {errors}");
@@ -91,12 +100,7 @@ fn what_was_typed_before_the_question_does_not_answer_it() {
         format!("speed --id 1 --speed-dps 30 --for-s 0.2 --bus {}", simulation.bus("slcan"));
     let attempt = || {
         let (process, mut keys, question) = asked_after("y\n", &speed);
-        let _ = writeln!(keys, "n");
-        let ended = process.wait_with_output().unwrap();
-        (ended.status.code(), question, text(&ended.stderr).to_owned())
-    };
-    let is_silent = |(_, asked, errors): &(_, String, String)| {
-        tells_of_silence(asked) || tells_of_silence(errors)
+        answered(process, &mut keys, question, "n")
     };
     let (status, question, errors) = unless_late(attempt, is_silent);
     assert!(question.contains("turn at 30 dps with no limit of torque"), "{question}");
