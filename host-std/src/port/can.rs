@@ -226,6 +226,7 @@ mod tests {
         for (report, text) in [
             (ErrorCause::BusOff, "bus off"),
             (ErrorCause::NoAck, "not acknowledged"),
+            (ErrorCause::TransmitTimeout, "not acknowledged"),
             // linux/can/error.h: 0x01 receive overflow, 0x08 warning, 0x10 and 0x20 passive while
             // receiving and sending, 0x40 active again.
             (state(0x20), "not acknowledged"),

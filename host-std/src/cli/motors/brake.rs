@@ -175,8 +175,10 @@ fn warn_of(motor: MotorId, says: BrakeCommand) {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::Stop;
     use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::Milliseconds;
 
     use super::super::odd_drive;
     use super::super::simulated::sent;
@@ -255,5 +257,20 @@ mod tests {
         assert!(matches!(session.let_go(nobody), Err(Unfinished::Failed(_))));
         // While the motor holds, it reports an open brake.
         assert_eq!(session.release_brake(MotorId::MIN), Ok(()));
+    }
+
+    #[test]
+    fn motor_that_has_lost_its_master_obeys_the_release() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let protection = Milliseconds::from_raw(100);
+        bring_up::protect(&mut session.master, MotorId::MIN, protection).unwrap();
+        // Its protection ends that.
+        session.master.ask(MotorId::MIN, Stop).unwrap();
+        fleet.world.run_for(Duration::from_millis(150));
+        // Longer than the protection, which would lock the brake again.
+        assert!(BRAKE_MOVES > Duration::from_millis(100));
+        assert_eq!(session.let_go(MotorId::MIN), Ok(true));
+        assert!(fleet.drives[0].with(|drive| drive.state().brake == BrakeCommand::RELEASE));
     }
 }

@@ -221,7 +221,7 @@ mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use myactuator_host_std::sim::bus::trace::Log;
+    use myactuator_host_std::sim::bus::trace::{Event, Log, Record};
     use myactuator_host_std::sim::plant::Load;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
@@ -629,5 +629,30 @@ mod tests {
         let why = turn(&mut session, || world.cut(station));
         let Unfinished::Failed(message) = why else { panic!("{why:?}") };
         assert!(message.contains("from motor 1: cut its power"), "{message}");
+    }
+
+    #[test]
+    fn motor_that_falls_silent_in_a_run_gets_six_more_commands() {
+        // After the 21st command, and not soon before errors are read. The other one goes on acknowledging frames.
+        let cut = "cut@1+206ms".parse().unwrap();
+        let fleet = Fleet::new(2).faults([cut]).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        turn(&mut session, || {});
+        let turned = commands(&log).into_iter().filter(|byte| *byte == 0xA2).count();
+        assert_eq!(turned, 21 + 6);
+    }
+
+    #[test]
+    fn single_lost_replies_do_not_add_up_to_a_silence() {
+        let lose = "lose=0.05".parse().unwrap();
+        let fleet = Fleet::new(1).faults([lose]).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        repeat(&mut session, &typed("--id 1 --for-s 2"), TURN, |_| String::new()).unwrap();
+        let is_lost = |record: &Record<SimpleFrame>| matches!(record.event, Event::Faulted { .. });
+        let lost = log.take().iter().filter(|record| is_lost(record)).count();
+        // Most of the exchanges are those of the run.
+        assert!(lost > 2 * MOST_MISSED as usize, "{lost}");
     }
 }
