@@ -10,7 +10,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadStatus1, Stop};
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
-use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::io::{CallError, Guards, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Milliseconds;
@@ -211,19 +211,29 @@ fn others_hold_while_one_does_not_confirm_a_stop<W: Wire>() {
     assert_eq!(lost_their_master(&bus.drives[1..5]), []);
 }
 
-/// Meanwhile nothing speaks to the others, for some 15 time-outs. Their protection is longer.
 fn others_hold_until_a_stop_of_all_gives_a_dead_one_up<W: Wire>() {
     let (bus, mut runner) = held::<W>();
-    for motor in others() {
-        let limit = Milliseconds::from_raw(500);
-        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
-    }
     bus.world.cut(bus.drives[0].station());
     let begun = runner.now();
     assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), id(1).into());
     let (taken, time_out) = (runner.now() - begun, W::CONFIG.reply_timeout);
-    assert!((time_out.times(14)..=time_out.times(20)).contains(&taken), "{taken}");
+    // On RS485 another motor is asked between any two of its stops.
+    assert!((time_out.times(14)..=time_out.times(25)).contains(&taken), "{taken}");
     check_others_hold(&bus);
+}
+
+#[test]
+fn motors_of_a_bus_hold_while_guards_wait_for_another_that_is_cut() {
+    let ((bus, mut runner), (other, mut cut)) = (held::<CanBus>(), held::<CanBus>());
+    other.drives.iter().for_each(|drive| other.world.cut(drive.station()));
+    let begun = runner.now();
+    let guards = Guards::new([&mut cut, &mut runner], StopKind::Hold);
+    assert_eq!(guards.finish(), [MotorId::all().take(MOTORS.into()).collect(), MotorSet::EMPTY]);
+    // Each bus has its own time.
+    let taken = runner.now() - begun;
+    assert!(taken >= millis(900), "{taken}");
+    check_others_hold(&bus);
+    check_others_are_free(&mut runner);
 }
 
 /// Loaded motors on a slow line. All hold.
@@ -301,6 +311,25 @@ fn eight_motors_on_a_slow_line_hold_while_one_is_worked_with() {
     }
     assert_eq!(bring_up::restart(&mut runner, id(1), id(1)), Ok(()));
     assert_eq!(lost_their_master(&bus.drives[1..6]), []);
+}
+
+/// Each stop of a dead one occupies the line for a time-out, and leaves the next turn to another motor.
+#[test]
+fn motors_on_a_slow_line_hold_until_a_stop_of_all_gives_two_dead_ones_up() {
+    let (bus, mut runner) = on_a_slow_line(8);
+    let limit = Milliseconds::from_raw(200);
+    for motor in MotorId::all().take(8) {
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    for dead in &bus.drives[6..] {
+        bus.world.cut(dead.station());
+    }
+    let begun = runner.now();
+    let dead = MotorId::all().skip(6).take(2).collect();
+    assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), dead);
+    let taken = runner.now() - begun;
+    assert!(taken > limit.into(), "{taken}");
+    assert_eq!(lost_their_master(&bus.drives[..6]), []);
 }
 
 /// It may answer again. But each question to it keeps the line busy for a time-out.

@@ -205,7 +205,21 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     }
     let begun = rig.runner.now();
     rig.ledger.pages().iter_mut().for_each(|page| page.sent.first_stop = None);
-    let unconfirmed = rig.runner.stop_all(kind, MotorSet::EMPTY);
+    rig.runner.master().stop_all(kind, MotorSet::EMPTY).unwrap();
+    let mut open: MotorSet = rig.motors().collect();
+    let mut unconfirmed = MotorSet::EMPTY;
+    while !open.is_empty() {
+        let soon = rig.runner.now() + millis(1);
+        let note = |event| match event {
+            Event::StopConfirmed { motor } => open.remove(motor),
+            Event::StopUnconfirmed { motor } => {
+                open.remove(motor);
+                unconfirmed.insert(motor);
+            }
+            _ => {}
+        };
+        rig.runner.run_until(soon, note).unwrap();
+    }
     let took = rig.runner.now() - begun;
     // 15 attempts of 21 ms. A set-point may still be in flight. So after an unanswered attempt, at most every second
     // one, the stop is sent once more. On RS485 one motor comes after another.

@@ -101,9 +101,10 @@
 //!
 //! # What ends it
 //! - **A thread leaves its control loop** while others have handles: the motors go on. A [`Guard`] stops them.
-//! - **The last handle is dropped:** all motors are stopped and the thread ends; the drop waits for that. Motors that
-//!   have not confirmed this stop are reported only to [subscriptions](Subscription) that have room, as their last
-//!   events ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)). To know them yourself call
+//! - **The last handle is dropped:** all motors are stopped and the thread ends; the drop waits for that, unless a stop
+//!   of all that was waited for is in force. Motors that have not confirmed this stop are reported only to
+//!   [subscriptions](Subscription) that have room, as their last events
+//!   ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)). To know them yourself call
 //!   [`stop_all`](SharedBus::stop_all) first.
 //! - **The program ends without that:** it is killed, aborts, calls `exit`, is ended by a signal (Ctrl-C) that it does
 //!   not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**, which ends all threads

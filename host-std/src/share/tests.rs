@@ -756,6 +756,19 @@ fn guard_with_the_last_handle_reports_a_driver_that_does_not_return() {
 }
 
 #[test]
+fn guard_with_the_last_handle_stops_a_dead_motor_once() {
+    let (fleet, bus) = shared(2);
+    bus.ask(id(1), turn(90.0)).unwrap();
+    // The other one goes on acknowledging frames.
+    fleet.world.cut(fleet.drives[0].station());
+    let log = fleet.world.log();
+    assert_eq!(Guard::new(bus, StopKind::Hold).finish().unwrap(), id(1).into());
+    let stops = packets(&log).into_iter().filter(|packet| packet.data[0] == 0x81).count();
+    // As often as one stop is sent.
+    assert_eq!(stops, 15);
+}
+
+#[test]
 fn question_after_a_stop_on_a_dead_bus_is_refused_in_time() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();

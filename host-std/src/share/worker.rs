@@ -29,18 +29,35 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     let looked_at = runner.now();
     let taken_at = looked_at;
     let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
-    let (turn_ends, has_failed) = (None, false);
-    let mut worker =
-        Worker { runner, asked, stopping, waiting, turn_ends, taken_at, looked_at, has_failed };
+    let mut worker = Worker {
+        runner,
+        asked,
+        stopping,
+        waiting,
+        turn_ends: None,
+        taken_at,
+        looked_at,
+        has_failed: false,
+        has_stopped_all: false,
+    };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = &outcome {
         desk.has_panicked(words(&**payload));
     }
-    let Worker { mut runner, asked, stopping, waiting, .. } = worker;
+    let Worker { mut runner, asked, stopping, waiting, has_stopped_all, .. } = worker;
     // Callers that wait find out now, and need not wait for the stop, unless it is a stop that they wait for. After a
     // panic nothing ends that.
     drop((asked, waiting));
     let stopping = if outcome.is_ok() { stopping } else { Vec::new() };
+    // What a caller has waited for needs no other.
+    let in_force = runner.master().stop_of_all();
+    if outcome.is_ok()
+        && has_stopped_all
+        && stopping.is_empty()
+        && in_force.is_some_and(|it| it == kind || it == StopKind::Off)
+    {
+        return desk.end();
+    }
     let all = runner.master().motors();
     // A driver that has panicked may do it again: then no motor has confirmed.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
@@ -76,6 +93,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
+    /// A caller has stopped all motors.
+    has_stopped_all: bool,
 }
 
 /// A question that was put.
@@ -269,6 +288,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::StopAll { kind, also, answer } => {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
+                self.has_stopped_all = true;
                 let running = master.motors();
                 self.await_stop(running, also, answer);
             }

@@ -8,6 +8,7 @@ use crate::command::{Command, SetPoint};
 use crate::id::MotorId;
 use crate::io::asking::{Askings, CallError, outcome_of_set_point};
 use crate::io::elapsed::Elapsed;
+use crate::io::keep_alive::KeepAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_STOP;
@@ -155,7 +156,7 @@ pub trait AsyncRunner<const N: usize> {
 }
 
 /// Runs the bus until each of these motors has confirmed its stop or has failed to. Returns those that have not
-/// confirmed.
+/// confirmed. Motors that have go on holding meanwhile.
 async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
     motors: MotorSet,
@@ -163,19 +164,22 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     let mut elapsed = Elapsed::default();
     let mut unconfirmed = motors;
     let mut given_up = motors.without(runner.master().motors());
-    while elapsed.at(runner.now()) < LONGEST_STOP {
-        let look_again = match unconfirmed.without(given_up).is_empty() {
-            false => Elapsed::LOOK_AGAIN,
-            true if runner.master().is_stop_to_all_waiting() => RETRY_AFTER,
-            true => break,
-        };
-        let until = runner.now() + look_again;
-        match runner.run(Some(until)).await {
-            Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
-            Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
-            _ => {}
+    let waiting = KeepAlive::new(runner, MotorSet::ALL).during(async |bus| {
+        while elapsed.at(bus.now()) < LONGEST_STOP {
+            let look_again = match unconfirmed.without(given_up).is_empty() {
+                false => Elapsed::LOOK_AGAIN,
+                true if bus.master().is_stop_to_all_waiting() => RETRY_AFTER,
+                true => break,
+            };
+            let until = bus.now() + look_again;
+            match bus.run(Some(until)).await {
+                Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
+                Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
+                _ => {}
+            }
         }
-    }
+    });
+    waiting.await;
     unconfirmed
 }
 

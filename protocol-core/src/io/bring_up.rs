@@ -268,8 +268,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   asked every 100 ms. Leave the protection time for that: 100 ms is enough for eight motors without such an adapter.
 ///   A shorter time may end what another motor holds, which they do not report, or a [move](move_to). A control loop
 ///   needs [more](crate::io::Watch).
-/// - The others wait for some 15 reply time-outs if a motor does not confirm a stop, and on RS485 for 100 ms if
-///   [`is_shared`] or [`change_id`] has no answer.
+/// - On RS485 each question to another motor waits for a time-out of a motor that does not confirm its stop, and all
+///   wait for 100 ms if [`is_shared`] or [`change_id`] has no answer.
 ///
 /// # Errors
 /// [`CallError`]. As it writes to ROM, the command is sent only once. If no reply comes, the time may be set or not: call

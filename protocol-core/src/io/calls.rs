@@ -110,8 +110,7 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        let all = KeepAlive::new(self, MotorSet::ALL);
-        all.during(async |bus| AsyncRunner::stop(bus, motor, kind).await).await
+        AsyncRunner::stop(self, motor, kind).await
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {

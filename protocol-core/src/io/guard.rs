@@ -1,11 +1,13 @@
 //! Stops all motors, however a control loop is left.
 
+use core::cell::Cell;
 use core::ops::{Deref, DerefMut};
 
 use embassy_futures::block_on;
 use embassy_futures::join::join_array;
 
 use crate::io::async_runner::AsyncRunner;
+use crate::io::keep_alive::KeepAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::polled::Polled;
 use crate::io::runner::Runner;
@@ -101,8 +103,8 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 
 /// Several loops whose motors are all stopped when they are left, as by a [`Guard`] of each, but at the same time.
 ///
-/// - A bus that is cut does not delay the others. A driver that blocks its loop does, such as a serial port that takes
-///   nothing: name it last, or give it a thread.
+/// - A bus that is cut does not delay the others, whose motors go on holding meanwhile. A driver that blocks its loop
+///   does, such as a serial port that takes nothing: name it last, or give it a thread.
 /// - `Guards` are used as the array of the loops. A loop that is swapped for another is no longer guarded.
 ///
 /// A bus sends only while it is run. So in each cycle let all loops send before any of them waits; otherwise all but
@@ -156,9 +158,15 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
         for bus in &mut self.buses {
             let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
         }
-        let buses = self.buses.each_mut();
+        let (buses, stopping) = (self.buses.each_mut(), Cell::new(M));
+        let is_over = || stopping.get() == 0;
         block_on(join_array(buses.map(async |bus: &mut &mut R| {
-            Polled(&mut **bus).stop_all(kind, MotorSet::EMPTY).await
+            let mut bus = Polled(&mut **bus);
+            let unconfirmed = bus.stop_all(kind, MotorSet::EMPTY).await;
+            stopping.set(stopping.get() - 1);
+            // Its motors go on holding while another bus is waited for.
+            KeepAlive::new(&mut bus, MotorSet::ALL).until(is_over).await;
+            unconfirmed
         })))
     }
 }

@@ -53,6 +53,21 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         result
     }
 
+    /// Asks them until this is so.
+    pub(super) async fn until<const N: usize>(self, is_over: impl Fn() -> bool)
+    where
+        R: AsyncRunner<N>,
+    {
+        let asking = self.during(async |bus| {
+            while !is_over() {
+                let soon = bus.now() + LONGEST_IDLE;
+                // What the bus has is for nobody, and an error of it ends nothing here.
+                let _ = bus.run(Some(soon)).await;
+            }
+        });
+        asking.await;
+    }
+
     /// On RS485, asks one at a time, and none while something else waits for the line: a load may fall that is to be
     /// looked at.
     fn ask<const N: usize>(&mut self, now: Instant)

@@ -93,8 +93,7 @@ pub enum LoopError<E> {
 /// the manual does not know. Of a drive that does not send it, an outage shows only as silence. So let the protection be
 /// longer than the [longest silence](Self::longest_silence) and the
 /// [reply time-out](crate::master::Config::reply_timeout) together. Otherwise a drive may let go and lock its brake, and
-/// be heard again just in time: then the loop goes on against the brake. Let it be longer than a stop, too: that takes
-/// some 15 reply time-outs if a motor does not confirm it, and meanwhile nothing speaks to the others.
+/// be heard again just in time: then the loop goes on against the brake.
 ///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///

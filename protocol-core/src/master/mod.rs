@@ -238,8 +238,8 @@ pub struct Master<const N: usize> {
     mailboxes_until: Option<Instant>,
     /// The caller has switched a motor off since the last stop to all was sent.
     is_any_off_since: bool,
-    /// The last frame sent was a stop that had been called for again.
-    was_called_again: bool,
+    /// The last frame sent was a stop that leaves the next turn to others.
+    is_turn_of_others: bool,
     /// The current round: that of the motor that is furthest ahead.
     pace: u32,
     last_ticket: u32,
@@ -285,7 +285,7 @@ impl<const N: usize> Master<N> {
             for_all: ForAll::Gone,
             mailboxes_until: None,
             is_any_off_since: false,
-            was_called_again: false,
+            is_turn_of_others: false,
             pace: 0,
             last_ticket: 0,
             now: Instant::ZERO,

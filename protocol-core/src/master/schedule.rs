@@ -30,9 +30,12 @@ impl Earliest {
 }
 
 impl<const N: usize> Master<N> {
-    /// Whether something may go, once the line is free.
+    /// Whether something may go, once the line is free. Stops that leave turns to others do not count.
     pub(crate) fn has_something_to_send(&self, now: Instant) -> bool {
-        self.choose(now).is_some()
+        self.stop_to_all.is_some()
+            || !self.ready_stops().all(|(_, motor)| motor.stop_leaves_turns())
+            || self.broadcast.is_waiting() && self.broadcast_may_go()
+            || self.choose_motor(now).is_some()
     }
 
     /// Stops first, then a broadcast that is due, then the motor that was served least.
@@ -46,16 +49,15 @@ impl<const N: usize> Master<N> {
         self.choose_motor(now)
     }
 
-    /// RS485: if all stops that may go, and the last frame sent, were called again, something else goes first: a
-    /// broadcast that is due, or the motor that was sent nothing for longest. Otherwise a caller that stops a motor in
-    /// every cycle would keep all others off the line. Rounds do not help here: the stops are ahead.
+    /// RS485: if all stops that may go, and the last frame sent, [leave turns to others](Motor::stop_leaves_turns),
+    /// something else goes first: a broadcast that is due, or the motor that was sent nothing for longest. Rounds do
+    /// not help here: the stops are ahead.
     #[inline(never)]
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
-        let is_again = |(_, motor): (_, &Motor)| motor.is_stop_called_again();
         if !self.config.is_rs485()
-            || !self.was_called_again
+            || !self.is_turn_of_others
             || stop == Offer::StopToAll
-            || !self.ready_stops().all(is_again)
+            || !self.ready_stops().all(|(_, motor)| motor.stop_leaves_turns())
         {
             return stop;
         }

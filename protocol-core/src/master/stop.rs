@@ -80,7 +80,8 @@ impl<const N: usize> Master<N> {
     /// - While the stop is in force, a motor that has not confirmed gets one more every 100 ms, or as often as RS485
     ///   has time for it, and at once when it is heard: it may be back on the bus at any time.
     /// - A program may call this in every cycle. If it is called again, even if it was lifted in between, a stop under
-    ///   way goes on: nothing that moves is sent before that is over. On RS485 every second turn then goes to others.
+    ///   way goes on: nothing that moves is sent before that is over. On RS485 every second turn then goes to others, as
+    ///   it does after the first stops of motors that are silent.
     ///   On CAN a motor that has confirmed, and was sent nothing since that a stop would refuse, is told again once the
     ///   motors that were sent no more than it have had their turn to answer. Such calls leave the motors no time for
     ///   requests. After a lost answer, the next confirmation comes only when that answer can no longer come.
@@ -330,6 +331,11 @@ impl<const N: usize> Master<N> {
     /// lifted.
     pub fn is_stopped(&self, motor: MotorId) -> bool {
         self.stops_all.is_some() || self.stopped.contains(motor)
+    }
+
+    /// How all motors were [stopped](Self::stop_all), if that was not lifted.
+    pub const fn stop_of_all(&self) -> Option<StopKind> {
+        self.stops_all
     }
 
     pub(super) fn is_any_stopped(&self) -> bool {

@@ -118,7 +118,7 @@ impl<const N: usize> Master<N> {
         // What the transport asks is no motor's turn.
         if !matches!(offer, Offer::Status(_)) {
             let motor = self.requested_of(offer);
-            self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
+            self.is_turn_of_others = motor.is_some_and(Motor::stop_leaves_turns);
         }
         // An answer may come although nothing waits for it, and must not collide with a command.
         let mut silence = Duration::ZERO;
@@ -130,8 +130,8 @@ impl<const N: usize> Master<N> {
                 });
                 let Some((is_over, round)) = sent.flatten() else { return };
                 self.due = now;
-                // A stop that is called for in every cycle does not put the others forward.
-                if !self.was_called_again {
+                // Stops that go on and on do not put the others forward.
+                if !self.is_turn_of_others {
                     self.keep_pace(round);
                 }
                 if is_over {

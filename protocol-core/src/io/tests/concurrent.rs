@@ -96,7 +96,8 @@ fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
         let log = block_on(async { session!(arm.await) });
         check(&log);
         assert_eq!(log, expected, "{at_most}");
-        assert_eq!(port.written(), polled_port.written(), "{at_most}");
+        // When the others are asked during the stop depends on when a loop looks at the time.
+        assert_eq!(port.commands(), polled_port.commands(), "{at_most}");
     }
 }
 

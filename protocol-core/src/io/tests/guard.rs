@@ -3,13 +3,11 @@
 use core::cell::Cell;
 use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::vec::Vec;
 
 use super::world::{
     Broken, CanState, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls,
 };
 use super::{id, step, torque};
-use crate::Data;
 use crate::command::{ReadMultiTurnAngle, Shutdown, Stop};
 use crate::error::RequestError;
 use crate::id::Target;
@@ -34,12 +32,12 @@ macro_rules! is_stopped_after {
     (|$bus:ident| $leave:expr) => {{
         let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
         is_left!(arm, |$bus| $leave);
-        assert_eq!(bus.sent().last(), Some(&Stop.encode()));
+        assert_eq!(bus.commands().last(), Some(&Stop.encode()));
         assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 
         let (port, _, mut arm) = on_rs485(SerialMaster::<TestSerial, TestClock, 4>::new);
         is_left!(arm, |$bus| $leave);
-        assert_eq!(on_the_line(&port).last(), Some(&Stop.encode()));
+        assert_eq!(port.commands().last(), Some(&Stop.encode()));
         assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
     }};
 }
@@ -51,13 +49,6 @@ macro_rules! is_left {
         let mut $bus = Guard::new(&mut $arm, StopKind::Hold);
         $leave;
     }};
-}
-
-/// What was written to a line: frames of 3E, id, 08, eight bytes and a checksum of two.
-fn on_the_line(port: &TestSerial) -> Vec<Data> {
-    let written = port.written();
-    assert_eq!(written.len() % 13, 0, "no half of a frame");
-    written.chunks(13).map(|frame| frame[3..11].try_into().unwrap()).collect()
 }
 
 /// Streams, and fails at a motor that is not there.
@@ -185,7 +176,7 @@ fn on_rs485_guarded_task_stops_motors_after_an_error() {
     }));
     assert_eq!(result, Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }));
     assert_eq!(unconfirmed, id(9).into());
-    assert!(on_the_line(&port).ends_with(&[Stop.encode(); 2]));
+    assert!(port.commands().ends_with(&[Stop.encode(); 2]));
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
@@ -194,11 +185,11 @@ fn on_rs485_dropped_guarded_future_stops_motors() {
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
     assert!(polls(guarded(&mut arm, StopKind::Hold, streaming), 20).is_none());
-    let before = on_the_line(&port).len();
+    let before = port.commands().len();
     assert!(before > 1, "it was at work");
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
     // First to all, then to the motor; and once more, since its answer may be that to the first.
-    assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 3]);
+    assert_eq!(port.commands()[before..], [Stop.encode(); 3]);
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
@@ -222,9 +213,9 @@ fn guarded_task_stops_motors_after_a_panic() {
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     let task = || block_on(guarded(&mut arm, StopKind::Hold, panicking));
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
-    let before = on_the_line(&port).len();
+    let before = port.commands().len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
-    assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 3]);
+    assert_eq!(port.commands()[before..], [Stop.encode(); 3]);
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
@@ -245,7 +236,7 @@ fn guarded_task_that_ends_stops_its_motor_once() {
 type BothBuses<'a> = Guards<'a, CanMaster<TestCan, TestClock, 4>, 2, 4>;
 
 /// Two buses at one clock, with motor 1 on each, of which the first carries nothing any more. Leaves them in this way;
-/// returns when motor 1 of the second got its stop, after that, and how long it took in all.
+/// returns when motor 1 of the second was sent its stop, after that, and how long it took in all.
 fn of_two_the_first_is_cut(
     cut: fn(&mut CanState),
     leave: impl FnOnce(BothBuses<'_>),
@@ -260,13 +251,11 @@ fn of_two_the_first_is_cut(
     cut(&mut cans[0].state());
     let begun = buses[1].now();
     leave(Guards::new(buses.each_mut(), StopKind::Hold));
-    assert_eq!(cans[1].sent().last(), Some(&Stop.encode()));
+    assert_eq!(cans[1].commands().last(), Some(&Stop.encode()));
     for bus in &mut buses {
         assert_eq!(bus.set_point(id(1), torque()), Err(refused()));
     }
-    let [_, second] = &mut buses;
-    let heard = second.master().health(id(1)).last_seen.unwrap();
-    [heard - begun, second.now() - begun]
+    [cans[1].sent_at(Stop.encode()) - begun, buses[1].now() - begun]
 }
 
 #[test]
@@ -286,8 +275,8 @@ fn guards_of_several_buses_do_not_wait_for_each_other() {
     let cuts: [fn(&mut CanState); 2] =
         [|can| can.full_until = u64::MAX, |can| can.transmit_fails = true];
     for (cut, leave) in cuts.into_iter().flat_map(|cut| ways.map(|leave| (cut, leave))) {
-        let [heard, all] = of_two_the_first_is_cut(cut, leave);
-        assert!(heard <= Duration::from_millis(6), "{heard}");
+        let [stopped, all] = of_two_the_first_is_cut(cut, leave);
+        assert!(stopped <= Duration::from_millis(6), "{stopped}");
         assert!(all <= LONGEST_STOP + Duration::from_millis(20), "{all}");
     }
 }

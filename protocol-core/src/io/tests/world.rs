@@ -11,6 +11,7 @@ use std::vec::Vec;
 use embedded_can::{Frame as _, nb};
 
 use crate::Data;
+use crate::command::ReadRunTime;
 use crate::id::Target;
 use crate::io::{AsyncClock, Clock};
 use crate::master::Config;
@@ -124,7 +125,8 @@ pub(super) struct Broken;
 
 #[derive(Debug, Default)]
 pub(super) struct CanState {
-    sent: Vec<SimpleFrame>,
+    /// When, in microseconds, and what.
+    sent: Vec<(u64, SimpleFrame)>,
     replies: VecDeque<(u64, SimpleFrame)>,
     /// Up to when the controller takes nothing.
     pub(super) full_until: u64,
@@ -159,8 +161,26 @@ impl TestCan {
     }
 
     pub(super) fn sent(&self) -> Vec<Data> {
-        self.state.borrow().sent.iter().map(|frame| frame.data().try_into().unwrap()).collect()
+        let state = self.state.borrow();
+        state.sent.iter().map(|(_, frame)| frame.data().try_into().unwrap()).collect()
     }
+
+    /// When this was first sent.
+    pub(super) fn sent_at(&self, data: Data) -> Instant {
+        let state = self.state.borrow();
+        let (at, _) = state.sent.iter().find(|(_, frame)| frame.data() == data).unwrap();
+        Instant::from_micros(*at)
+    }
+
+    /// The same without the questions that keep motors holding.
+    pub(super) fn commands(&self) -> Vec<Data> {
+        self.sent().into_iter().filter(is_command).collect()
+    }
+}
+
+/// Whether this is not one of the questions that keep motors from letting go while another is waited for.
+fn is_command(data: &Data) -> bool {
+    *data != ReadRunTime.encode()
 }
 
 impl embedded_can::Error for Broken {
@@ -181,7 +201,7 @@ impl nb::Can for TestCan {
         if self.clock.micros() < state.full_until {
             return Err(::nb::Error::WouldBlock);
         }
-        state.sent.push(*frame);
+        state.sent.push((self.clock.micros(), *frame));
         if let Received::Packet(command) = can::decode(frame)
             && let Some(reply) = answer(&command)
         {
@@ -299,6 +319,15 @@ impl TestSerial {
 
     pub(super) fn written(&self) -> Vec<u8> {
         self.state.borrow().written.clone()
+    }
+
+    /// What was written, in frames of 3E, id, 08, eight bytes and a checksum of two, without the questions that keep
+    /// motors holding.
+    pub(super) fn commands(&self) -> Vec<Data> {
+        let written = self.written();
+        assert_eq!(written.len() % 13, 0, "no half of a frame");
+        let commands = written.chunks(13).map(|frame| frame[3..11].try_into().unwrap());
+        commands.filter(is_command).collect()
     }
 
     /// Nothing was written yet.

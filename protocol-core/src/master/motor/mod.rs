@@ -151,6 +151,15 @@ impl Motor {
         self.request.waiting().is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
     }
 
+    /// Whether its stop waits and leaves turns to others on RS485: it was called again, or was sent before to a motor
+    /// that is silent. Otherwise a caller that stops a motor in every cycle, or a dead motor, would keep all others off
+    /// the line for long, and those that hold a load would hear nothing and let it go (0xB3).
+    pub(super) fn stop_leaves_turns(&self) -> bool {
+        let was_sent = |stop: &Asked| stop.is_stop() && !stop.was_never_sent();
+        self.is_stop_called_again()
+            || self.is_silent() && self.request.waiting().is_some_and(was_sent)
+    }
+
     /// Whether it has nothing under way and nothing to report, and nothing that was sent may still move it. A stop that
     /// was given up, and is sent again and again, does not count.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
