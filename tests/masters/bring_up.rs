@@ -53,6 +53,7 @@ on_both_buses! {
     load_does_not_sink_while_its_brake_opens_and_locks
     a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake
     motor_holds_its_load_again_when_its_brake_slips
+    motor_holds_its_load_again_though_the_bus_is_out_when_its_brake_slips
     a_slipping_brake_that_may_not_be_opened_is_reported
     a_brake_that_slips_only_when_the_motor_is_off_is_reported
     lock_brake_catches_a_falling_load
@@ -496,9 +497,13 @@ fn load_does_not_sink_while_its_brake_opens_and_locks<W: Wire>() {
 
 /// A motor with a slow brake and a load that pulls at it.
 fn lifting<W: Wire>() -> BusFleet<W> {
+    W::drives(&lifting_fleet(1)).unwrap()
+}
+
+fn lifting_fleet(motors: u8) -> Fleet {
     let quirks = Quirks { slow_brake: true, ..Quirks::default() };
     let load = Load { torque_nm: 5.0, ..Load::NONE };
-    W::drives(&Fleet::new(1).brakes(true).quirks(quirks).load(load)).unwrap()
+    Fleet::new(motors).brakes(true).quirks(quirks).load(load)
 }
 
 /// The motor draws all the current that it may, and its load pulls it away all the same.
@@ -537,6 +542,31 @@ fn motor_holds_its_load_again_when_its_brake_slips<W: Wire>() {
         assert!((state(drive).angle_deg - held_deg).abs() < 0.1 && state(drive).output_on);
     }
     assert_eq!(settings(), before, "nothing was written");
+}
+
+/// At any time while the brake locks and the shaft is looked at. Where this motor is alone, nobody acknowledges a frame
+/// then.
+fn motor_holds_its_load_again_though_the_bus_is_out_when_its_brake_slips<W: Wire>() {
+    let cuts = || core::iter::once(None).chain((1..400).step_by(20).map(Some));
+    let mut locks_at_ms = 0;
+    for (motors, cut) in [2, 1].into_iter().flat_map(|motors| cuts().map(move |cut| (motors, cut)))
+    {
+        let at = |ms| locks_at_ms + ms;
+        let faults =
+            cut.map(|ms| [format!("cut@1+{}ms", at(ms)), format!("mend@1+{}ms", at(ms + 150))]);
+        let faults = faults.into_iter().flatten().map(|fault| fault.parse().unwrap());
+        let bus = W::drives(&lifting_fleet(motors).faults(faults)).unwrap();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+        assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+        locks_at_ms = runner.now().as_micros() / 1_000;
+        drive.with(|drive| drive.plant_mut().force_brake(Some(true)));
+        let returned = bring_up::lock_brake(runner, id(1));
+        assert!(returned.is_err(), "{cut:?}");
+        let held_deg = state(drive).angle_deg;
+        listen(runner, millis(500));
+        // It would turn by hundreds.
+        assert!((state(drive).angle_deg - held_deg).abs() < 1.0, "{cut:?}: {returned:?}");
+    }
 }
 
 /// While a stop is in force, opening the brake again is refused.

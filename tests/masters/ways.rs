@@ -11,11 +11,12 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{
-    self, MoveFailure, MoveLimits, Protection, WhenStalled,
+    self, MoveFailure, MoveLimits, MoveProgress, Protection, WhenStalled,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::{Angle, Milliseconds};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
@@ -47,6 +48,7 @@ on_both_buses! {
     force_that_drives_a_gripper_away_is_no_grip
     a_gripper_that_never_moved_has_gripped_nothing
     motor_that_cut_its_output_neither_presses_nor_stalls
+    gripper_that_let_go_during_the_last_look_does_not_press
 }
 
 fn ask_together_returns_each_motors_own_reply<W: Wire>() {
@@ -429,6 +431,40 @@ fn motor_that_cut_its_output_neither_presses_nor_stalls<W: Wire>() {
         let met = bring_up::move_to(runner, id(1), grip, &limits, go_on);
         let why = met.expect_err("it has no output").why;
         assert!(matches!(why, MoveFailure::LetGo { .. }), "{why}");
+    }
+}
+
+/// At the look that finds it pressing, the caller takes too long, or it dies.
+fn gripper_that_let_go_during_the_last_look_does_not_press<W: Wire>() {
+    let jaw = EndStop { at_deg: 20.0, stiffness_nm_per_rad: 500.0, restitution: 0.0 };
+    let quirks = Quirks { lost_master_heartbeat: true, ..Quirks::default() };
+    let fleet = Fleet::new(2).quirks(quirks).load(Load { upper_stop: Some(jaw), ..Load::NONE });
+    for dies in [false, true] {
+        let bus = W::drives(&fleet).unwrap();
+        let runner = &mut master(&bus);
+        bring_up::protect(runner, id(1), Milliseconds::from_raw(200)).unwrap();
+        let limits = MoveLimits { when_stalled: WhenStalled::Press, ..MoveLimits::default() };
+        let mut nearest = (Angle::from_raw(0), Duration::ZERO);
+        let on_look = |look: &MoveProgress| {
+            if look.angle.raw() > nearest.0.raw() + 20 {
+                nearest = (look.angle, look.time);
+            }
+            if look.time - nearest.1 > limits.stalled_after {
+                bus.world.run_for(millis(300));
+                if dies {
+                    bus.world.cut(bus.drives[0].station());
+                }
+            }
+            ControlFlow::Continue(())
+        };
+        let why = bring_up::move_to(runner, id(1), grip_at(90.0, 10), &limits, on_look)
+            .expect_err("it has no output")
+            .why;
+        match why {
+            MoveFailure::LetGo { .. } if !dies => {}
+            MoveFailure::Silent { .. } if dies => {}
+            why => panic!("dies: {dies}: {why}"),
+        }
     }
 }
 

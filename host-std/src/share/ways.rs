@@ -536,35 +536,44 @@ mod tests {
         bus.ask(id(1), ReadModel).unwrap();
     }
 
-    /// A bus that calls this when 0x77 is answered.
-    struct Opens<F>(CanPort, F);
+    /// A bus that tells this when a frame with this byte was sent, and when it is answered.
+    struct Tells<F>(CanPort, u8, F);
 
-    impl<F: FnMut()> nb::Can for Opens<F> {
+    impl<F: FnMut(&str)> nb::Can for Tells<F> {
         type Frame = SimpleFrame;
         type Error = CanError;
 
         fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, CanError> {
-            self.0.transmit(frame)
+            let handed_back = self.0.transmit(frame)?;
+            if frame.data()[0] == self.1 {
+                (self.2)("sent");
+            }
+            Ok(handed_back)
         }
 
         fn receive(&mut self) -> ::nb::Result<SimpleFrame, CanError> {
             let frame = self.0.receive()?;
-            if frame.data()[0] == 0x77 {
-                (self.1)();
+            if frame.data()[0] == self.1 {
+                (self.2)("answered");
             }
             Ok(frame)
         }
     }
 
-    /// Nothing else can hold its load then.
-    #[test]
-    fn brake_of_a_motor_that_another_thread_switches_off_while_it_opens_is_locked() {
+    /// Checks that a brake is locked that opens when another thread switches the motor off, in this way and at this
+    /// moment. Nothing else can hold its load then.
+    fn is_locked_though_opened(
+        (byte, moment): (u8, &'static str),
+        switch_off: fn(&SharedBus<CanError>),
+    ) {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let (opens, is_opening) = mpsc::channel();
-        let port = Opens(fleet.world.port(), move || {
-            let _ = opens.send(());
-            // The other thread asks meanwhile.
-            thread::sleep(time::Duration::from_millis(50));
+        let port = Tells(fleet.world.port(), byte, move |now: &str| {
+            if now == moment {
+                let _ = opens.send(());
+                // The other thread calls meanwhile.
+                thread::sleep(time::Duration::from_millis(50));
+            }
         });
         let clock = fleet.world.clock();
         let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
@@ -572,13 +581,23 @@ mod tests {
         let other = bus.clone();
         let switching_off = thread::spawn(move || {
             is_opening.recv().unwrap();
-            other.ask(id(1), Shutdown).unwrap();
+            switch_off(&other);
         });
         assert!(bus.release_brake(id(1)).is_err());
         switching_off.join().unwrap();
         let sent = sent(&log);
         let off = sent.iter().position(|&byte| byte == 0x80).unwrap();
-        assert!(sent[off..].contains(&0x78), "{sent:02X?}");
+        assert!(sent[off..].contains(&0x78), "{byte:02X} {moment}: {sent:02X?}");
+    }
+
+    #[test]
+    fn brake_of_a_motor_that_another_thread_switches_off_while_it_opens_is_locked() {
+        is_locked_though_opened((0x77, "answered"), |bus| _ = bus.ask(id(1), Shutdown).unwrap());
+        for moment in [(0x77, "sent"), (0x77, "answered"), (0x81, "sent")] {
+            is_locked_though_opened(moment, |bus| {
+                assert!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap().is_empty());
+            });
+        }
     }
 
     /// A bus on which the answers to 0x78 are lost.

@@ -28,8 +28,8 @@ const RELEASES: u8 = 3;
 /// How often a brake that does not answer is told to lock, with the time to lock in between: a line may be out for
 /// longer than a question is repeated.
 const LOCKS: u8 = 2;
-/// How often something is asked, if the bus fails, while a load depends on it.
-const TRIES: u8 = 10;
+/// How long something is asked again and again while a load depends on the answer.
+const INSISTS_FOR: Duration = Duration::from_millis(300);
 
 /// As [`bring_up::release_brake`](crate::io::bring_up::release_brake). If this future is dropped between telling the
 /// brake to open and the motor's confirmation that it holds, the stop is in force, and is the first thing that any
@@ -112,10 +112,7 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     let mut told = Ok(());
     for round in 0..RELEASES {
         told = opening.it.ask_often(motor, ReleaseBrake, Some(1)).await.map(drop);
-        let is_unsent = matches!(
-            told,
-            Err(CallError::Refused { .. } | CallError::Failed { failure: Failure::Stopped, .. })
-        );
+        let is_unsent = matches!(told, Err(CallError::Refused { .. }));
         if is_unsent && round == 0 {
             opening.end();
             return told;
@@ -125,15 +122,18 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
         }
         // Right after the release, answered or not, and whatever the bus reports: the brake may open all the same, and
         // then a load falls. Not before it: behind a locked brake a stop may do nothing.
-        match opening.it.ask(motor, Stop).await {
+        match insist(&mut *opening.it, motor, Stop).await {
             Ok(_) if told.is_ok() => {
                 opening.end();
                 return told;
             }
             Ok(_) => {}
             Err(error) => {
-                if let CallError::Refused { refusal: RequestError::Stopped, .. } = error {
-                    // Somebody has switched the motor off meanwhile: only the brake can hold.
+                if let CallError::Refused { refusal: RequestError::Stopped, .. }
+                | CallError::Failed { failure: Failure::Stopped, .. } = error
+                {
+                    // Somebody has switched the motor off meanwhile, or stops it again and again: only the brake can
+                    // hold.
                     let _ = insist(&mut *opening.it, motor, LockBrake).await;
                 }
                 told = Err(error);
@@ -291,19 +291,20 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
     }
 }
 
-/// Asks again if the bus fails: a load depends on what is done next.
+/// Asks again for a while if no answer comes, whatever the reason: a load depends on what is done next.
 async fn insist<B: Calls<N>, C: Command + Copy, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     command: C,
 ) -> Result<C::Reply, CallError<B::Error>> {
-    let mut tries = 1;
+    let end = bus.now() + INSISTS_FOR;
     loop {
-        match bus.ask(motor, command).await {
-            Err(CallError::Bus(_)) if tries < TRIES => tries += 1,
+        let outcome = bus.ask(motor, command).await;
+        let now = bus.now();
+        match outcome {
+            Err(CallError::Bus(_) | CallError::Failed { .. }) if now < end => {}
             outcome => return outcome,
         }
-        let soon = bus.now() + SPOKEN_TO_EVERY;
-        let _ = bus.wait_until(soon).await;
+        let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
     }
 }

@@ -373,7 +373,12 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         if !has_arrived && on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
         }
-        if is_over && runs(bus, motor).await == Some(false) {
+        let runs = if is_over { runs(bus, motor).await } else { Some(true) };
+        if runs.is_none() {
+            // It may not know that question, or be gone.
+            bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?;
+        }
+        if runs == Some(false) {
             let has_started = has_started_since(bus, motor, begun, ran).await;
             if has_started.map_err(unseen_since(angle))? {
                 bus.note_restart(motor);

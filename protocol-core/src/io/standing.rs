@@ -70,7 +70,12 @@ pub async fn wait_until_stands<B: Calls<N>, const N: usize>(
 pub(super) async fn runs<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
     // Asked once: a short protection does not outlast more.
     let reply = bus.ask_often(motor, ReadRunningMode, Some(1)).await;
-    reply.map(|reply| reply.mode.runs()).ok()
+    match reply {
+        Ok(reply) => Some(reply.mode.runs()),
+        // It has heard nothing for too long, and has cut its output.
+        Err(CallError::Failed { failure: Failure::NotExecuted, .. }) => Some(false),
+        Err(_) => None,
+    }
 }
 
 /// Whether a motor that reports this speed turns. Up to 2 dps it stands, since feedback may flicker by a step.

@@ -283,7 +283,7 @@ impl<const N: usize> Master<N> {
             }
             let asked = Asked::new(Purpose::Caller, question, data, patience);
             if kind.ends_motion() {
-                motor.drop_waiting_set_point();
+                motor.end_stream();
                 motor.let_other_stop_come_first(&asked, config, now);
             }
             motor.join(pace);

@@ -6,7 +6,6 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::master::Master;
 use crate::master::late::Question;
-use crate::master::motor::LastSent;
 use crate::master::request::Asked;
 use crate::opcode::Usage;
 use crate::time::Instant;
@@ -134,12 +133,7 @@ impl<const N: usize> Master<N> {
     /// The caller no longer waits for the feedback of a motor's newest set-point: it is not sent if it waits, nor again
     /// if it is handed back.
     pub(crate) fn withdraw_set_point(&mut self, motor: MotorId) {
-        self.change(motor, |motor, _| {
-            motor.drop_waiting_set_point();
-            if motor.stream.in_flight().is_some() {
-                motor.last_sent.insert(LastSent::IS_OLD);
-            }
-        });
+        self.change(motor, |motor, _| motor.end_stream());
     }
 
     /// Whether a motor's newest set-point was dropped before it was sent.

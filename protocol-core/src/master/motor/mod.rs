@@ -57,7 +57,7 @@ bitflags! {
         /// The bus was quiet when its reply was due, or the reply time-out is over. The reply does not wait for the
         /// bus, and the others do not wait for it.
         const HAD_ITS_CHANCE = 1 << 1;
-        /// Since then all were told to end their motion, it has restarted, or the caller no longer waits for its
+        /// Since then it or all were to end their motion, it has restarted, or the caller no longer waits for its
         /// feedback. Nothing older that moves is sent again.
         const IS_OLD = 1 << 2;
         /// The drive has said since that it has lost its master: it may have heard this command before.
@@ -189,6 +189,14 @@ impl Motor {
             self.is_newest_dropped = true;
             self.news.insert(News::DROPPED);
             self.health.superseded = self.health.superseded.saturating_add(1);
+        }
+    }
+
+    /// Its newest set-point is not sent if it waits, nor again if it is handed back.
+    pub(super) fn end_stream(&mut self) {
+        self.drop_waiting_set_point();
+        if self.stream.in_flight().is_some() {
+            self.last_sent.insert(LastSent::IS_OLD);
         }
     }
 

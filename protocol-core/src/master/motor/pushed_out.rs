@@ -55,7 +55,9 @@ impl Motor {
         }
         let is_old = self.last_sent.contains(LastSent::IS_OLD);
         self.request = match asked.may_move() {
-            true if self.has_restarted => Request::Failed(Failure::Dropped),
+            true if self.has_restarted && (is_old || asked.kind().moves()) => {
+                Request::Failed(Failure::Dropped)
+            }
             true if is_old => Request::Failed(Failure::Stopped),
             _ if asked.may_go_again() => Request::Waiting(asked),
             _ => Request::Failed(Failure::Dropped),

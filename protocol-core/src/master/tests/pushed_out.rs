@@ -589,3 +589,32 @@ fn motor_that_answered_since_its_frame_was_handed_back_delays_no_other() {
     let to_both = [1, 2].map(|motor| packet_to(motor, torque(1.0).encode()));
     assert_eq!(sent(&mut master, ms(6)), to_both);
 }
+
+/// What ends motion is put after a set-point, and dropped because the bus is down.
+#[test]
+fn handed_back_set_point_does_not_follow_a_shutdown_that_was_never_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let set_point = sent(&mut master, ms(0));
+    let off = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), []);
+    master.handle_bus_down(ms(15));
+    let failed = events(&mut master, ms(15));
+    assert!(failed.iter().any(|event| off.outcome(event) == Some(Err(Failure::BusDown))));
+    master.handle_pushed_out(&set_point[0]);
+    assert_eq!(sent(&mut master, ms(16)), []);
+}
+
+/// Only what moves the motor waits until the caller knows of the restart.
+#[test]
+fn handed_back_release_of_a_brake_after_a_restart_is_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.handle_timeout(ms(1));
+    master.note_restart(id(1));
+    events(&mut master, ms(1));
+    let _release = master.request(id(1), ReleaseBrake).unwrap();
+    let released = sent(&mut master, ms(2));
+    assert_eq!(released, [packet_to(1, ReleaseBrake.encode())]);
+    master.handle_pushed_out(&released[0]);
+    assert_eq!(sent(&mut master, ms(3)), released);
+}
