@@ -67,7 +67,7 @@ async fn swing(mut clock: impl AsyncClock, wanted: &Wanted, dps: f32, until: Ins
     for cycle in 0_u64.. {
         let way = if cycle / 25 % 2 == 0 { 1.0 } else { -1.0 };
         let speed = SpeedTarget::from_dps(way * dps).expect("a speed that motors have");
-        wanted.signal(Speed { max_torque: MaxTorque::from_raw(0), speed });
+        wanted.signal(Speed { max_torque: MaxTorque::NO_LIMIT, speed });
         let next = clock.now() + Duration::from_millis(10);
         if next > until {
             return;

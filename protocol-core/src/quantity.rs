@@ -476,7 +476,13 @@ impl fmt::Display for OutOfRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let symbol = self.quantity.unit.symbol();
         let space = if symbol.is_empty() { "" } else { " " };
-        write!(f, "{}, but {}{space}{symbol} was given", self.quantity, self.given)
+        write!(f, "{}, but {}{space}{symbol} was given", self.quantity, self.given)?;
+        match self.quantity.form {
+            Form::Steps(Steps { zero: Some(_), .. }) if self.given.value() == 0.0 => {
+                f.write_str(": if that is meant, use its name")
+            }
+            _ => Ok(()),
+        }
     }
 }
 

@@ -50,7 +50,7 @@ impl<const N: usize> State<N> {
         match call {
             Call::Read(at) => self.request(at, with_token(ReadMultiTurnAngle, token)),
             Call::Move(at) => {
-                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(number.into()));
+                let (max_speed, angle) = (MaxSpeed::NO_LIMIT, Angle::from_raw(number.into()));
                 self.request(at, IncrementalPosition { max_speed, angle })
             }
             Call::Shutdown(at) => {

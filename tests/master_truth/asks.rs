@@ -77,7 +77,7 @@ impl<W: Rough> Session<W> {
                 (master.broadcast(command, expected), command.encode())
             }
             _ => {
-                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+                let (max_speed, angle) = (MaxSpeed::NO_LIMIT, Angle::from_raw(token as i32));
                 let command = IncrementalPosition { max_speed, angle };
                 (master.broadcast(command, expected), command.encode())
             }
@@ -181,7 +181,7 @@ impl<W: Rough> Session<W> {
                 self.put(motor, Speed { max_torque, speed });
             }
             _ => {
-                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+                let (max_speed, angle) = (MaxSpeed::NO_LIMIT, Angle::from_raw(token as i32));
                 self.put(motor, IncrementalPosition { max_speed, angle });
             }
         }

@@ -286,13 +286,13 @@ impl<W: Wire> Stranger<W> {
     fn motion(&mut self) -> Option<Data> {
         let dice = self.moves.as_mut()?;
         let value = (STRANGERS | self.asked) as i32;
-        let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(value));
+        let (max_speed, angle) = (MaxSpeed::NO_LIMIT, Angle::from_raw(value));
         let mut data = match dice.below(6) {
             0 => return Some(IncrementalPosition { max_speed, angle }.encode()),
             1 => AbsolutePosition { max_speed, angle }.encode(),
             2 => {
                 let speed = SpeedTarget::from_raw(value);
-                Speed { max_torque: MaxTorque::from_raw(0), speed }.encode()
+                Speed { max_torque: MaxTorque::NO_LIMIT, speed }.encode()
             }
             _ => return None,
         };

@@ -50,7 +50,7 @@ pub const fn angle(token: u32) -> WithToken<ReadMultiTurnAngle> {
 
 /// 0xA8 by the token's angle.
 pub const fn step(token: u32) -> IncrementalPosition {
-    let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+    let (max_speed, angle) = (MaxSpeed::NO_LIMIT, Angle::from_raw(token as i32));
     IncrementalPosition { max_speed, angle }
 }
 

@@ -36,7 +36,7 @@ pub(super) fn id(number: u8) -> MotorId {
 
 fn turn(dps: f32) -> Speed {
     let speed = SpeedTarget::from_dps(dps).unwrap();
-    Speed { max_torque: MaxTorque::from_raw(0), speed }
+    Speed { max_torque: MaxTorque::NO_LIMIT, speed }
 }
 
 /// Drives in real time, and the bus that they are on.
@@ -678,8 +678,16 @@ fn move_whose_turn_comes_after_a_suspension_is_not_sent() {
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let log = fleet.world.log();
+    hold_up(&order);
+    let asking = thread::spawn({
+        let bus = bus.clone();
+        move || bus.ask_together([(id(1), STEP), (id(1), STEP)])
+    });
+    while bus.desk().lock().questions.len() < 2 {
+        thread::yield_now();
+    }
     order.store(SUSPEND_AFTER_REPLY, Ordering::SeqCst);
-    let outcomes = bus.ask_together([(id(1), STEP), (id(1), STEP)]);
+    let outcomes = asking.join().unwrap();
     assert!(outcomes[0].is_ok(), "{outcomes:?}");
     tells(outcomes[1].as_ref().unwrap_err(), 1, RequestError::Busy);
     let moves = packets(&log).into_iter().filter(|packet| packet.data[0] == 0xA8);

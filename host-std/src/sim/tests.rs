@@ -101,7 +101,7 @@ fn a_task_controls_while_another_watches() {
     let mut bus = fleet.async_master::<2>();
     let mut ear = fleet.world.port();
     let speed = SpeedTarget::from_dps(90.0).unwrap();
-    let turn = Speed { max_torque: MaxTorque::from_raw(0), speed };
+    let turn = Speed { max_torque: MaxTorque::NO_LIMIT, speed };
     let (mut commands, mut replies) = (0, 0);
     let watch = async {
         loop {

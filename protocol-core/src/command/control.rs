@@ -108,8 +108,7 @@ command! {
     /// Go to a multi-turn angle with limited torque: 0xA9 (2.24). It runs only without a fault.
     ForcePosition -> Feedback {
         /// The largest torque; above the stall current it limits nothing. The manual does not say what 0 does: in
-        /// a [speed command](Speed) it sets no limit, so do not send it.
-        /// [`move_to`](crate::io::bring_up::move_to) refuses it.
+        /// a speed command it sets no limit, so do not send it.
         max_torque: MaxTorque => 1,
         /// The fastest turning on the way.
         max_speed: MaxSpeed => 2,

@@ -309,7 +309,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     mut on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, MoveFailure<B::Error>> {
-    if command.max_torque() == Some(MaxTorque::from_raw(0)) {
+    if command.max_torque() == Some(MaxTorque::NO_LIMIT) {
         return Err(MoveFailure::NoTorque);
     }
     // Several questions come before the move: a drive that has lost its master obeys only when it is spoken to steadily

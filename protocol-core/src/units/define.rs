@@ -3,7 +3,8 @@
 /// One quantity: its integer on the wire, its name, its unit, and a step in that unit.
 ///
 /// - `in` restricts the numbers on the wire; without it every one is allowed.
-/// - `zero` says what 0 means if it is not an amount. Then nothing else is ever rounded to it.
+/// - `zero` says what 0 means if it is not an amount. Then no amount becomes it, not even 0: what is computed may come
+///   down to 0, and must not mean "no limit".
 /// - `floats` and `doubles` name the conversions from the unit, to the nearest allowed value and to
 ///   the unit; `radians` those from and to radians, over the conversions in degrees.
 /// - `arithmetic` gives it `-x`, `x + y` and `x - y`.
@@ -25,11 +26,10 @@ macro_rules! quantity {
         impl $name {
             const MIN_RAW: $raw = quantity!(@min $raw [$($zero)?] [$($min)?]);
             const MAX_RAW: $raw = quantity!(@max $raw [$($max)?]);
-            const ZERO: Option<&'static str> = quantity!(@zero $($zero)?);
             const STEPS: Steps = Steps {
                 min: Self::MIN_RAW as i64,
                 max: Self::MAX_RAW as i64,
-                zero: Self::ZERO,
+                zero: quantity!(@zero $($zero)?),
                 numerator: $numerator,
                 denominator: $denominator,
             };
@@ -185,9 +185,6 @@ macro_rules! quantity {
             /// [`OutOfRange`] for NaN and for what [`QUANTITY`](Self::QUANTITY) does not allow.
             #[inline]
             pub const fn $from(value: $float) -> Result<Self, OutOfRange> {
-                if Self::ZERO.is_some() && value == 0.0 {
-                    return Ok(Self(0));
-                }
                 let steps = $round(value * Self::STEPS.per_unit() as $float);
                 if steps >= Self::MIN_RAW as $float && steps <= Self::MAX_RAW as $float {
                     Ok(Self(steps as $raw))
@@ -205,8 +202,6 @@ macro_rules! quantity {
                 let steps = $round(value * Self::STEPS.per_unit() as $float);
                 if value.is_nan() {
                     Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::$float(value) })
-                } else if Self::ZERO.is_some() && value == 0.0 {
-                    Ok(Self(0))
                 } else if steps < Self::MIN_RAW as $float {
                     Ok(Self::MIN)
                 } else if steps > Self::MAX_RAW as $float {

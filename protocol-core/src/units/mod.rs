@@ -3,7 +3,7 @@
 //! Each quantity has a type of its own, so that a speed limit cannot be passed as an angle, and one place for its
 //! scale. `raw` is the integer on the wire. The conversions from floats round to the nearest step and refuse what does
 //! not fit; `saturating_*` takes the nearest allowed amount instead. Both refuse NaN: for a position there is no
-//! harmless number to put in its place. If 0 has a meaning of its own ("no limit"), only exactly 0 becomes it.
+//! harmless number to put in its place. If 0 has a meaning of its own ("no limit"), it has a name, and no amount becomes it.
 //!
 //! ```
 //! use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
@@ -65,8 +65,7 @@ quantity! {
     /// The fastest that a position command may turn the output shaft, 1 degree per second a step
     /// (2.21.1).
     ///
-    /// 0 sets no limit in direct tracking, where the position loop's output alone decides (2.21.1). With
-    /// planning the manual does not say what 0 does. No other amount ever becomes 0.
+    /// The smallest is 1 dps, and no amount becomes [`NO_LIMIT`](Self::NO_LIMIT).
     MaxSpeed(u16 put_u16 get_u16) "maximum speed" DegreePerSecond, step 1/1, zero "no limit"
     ; floats from_dps saturating_from_dps dps
     ; radians from_radians_per_second radians_per_second by from_dps dps
@@ -75,10 +74,22 @@ quantity! {
 quantity! {
     /// The largest torque that a command may use, 1 % of the rated current a step (2.20.1, 2.24.1).
     ///
-    /// In a speed command 0 sets no limit, and with a force-limited position (0xA9) the manual does not say
-    /// what 0 does; in both, a value above the stall current sets no limit. No other amount ever becomes 0.
+    /// A value above the stall current sets no limit. The smallest is 1 %, and no amount becomes
+    /// [`NO_LIMIT`](Self::NO_LIMIT).
     MaxTorque(u8 put_u8 get_u8) "maximum torque" PercentOfRatedCurrent, step 1/1, zero "no limit in a speed command"
     ; floats from_percent saturating_from_percent percent
+}
+
+impl MaxSpeed {
+    /// No limit in direct tracking, where the position loop's output alone decides (2.21.1). With planning the manual
+    /// does not say what this does.
+    pub const NO_LIMIT: Self = Self(0);
+}
+
+impl MaxTorque {
+    /// No limit in a speed command but the stall current (2.20.1). With a force-limited position (0xA9) the manual does
+    /// not say what this does.
+    pub const NO_LIMIT: Self = Self(0);
 }
 
 quantity! {
@@ -139,7 +150,7 @@ quantity! {
 
 quantity! {
     /// Planned acceleration or deceleration of the output shaft, 1 dps/s a step, 100 to 60000 (2.5.1),
-    /// or [`NONE`](Self::NONE). No other amount ever becomes that.
+    /// or [`NONE`](Self::NONE), which no amount becomes.
     Acceleration(u32 put_u32 get_u32) "acceleration" DegreePerSecondSquared, step 1/1, zero "no planning", in 100..=60_000
     ; floats from_dps2 saturating_from_dps2 dps2
 }
@@ -281,7 +292,7 @@ mod tests {
         assert!(SingleTurnTarget::from_degrees(360.01).is_err());
         assert!(Acceleration::from_dps2(99.0).is_err());
         assert!(Acceleration::from_dps2(60_001.0).is_err());
-        assert_eq!(Acceleration::from_dps2(0.0), Ok(Acceleration::NONE));
+        assert!(Acceleration::from_dps2(0.0).is_err());
         assert!(Acceleration::from_dps2(0.4).is_err());
         assert_eq!(ReportInterval::from_millis(655_350.0).unwrap().raw(), u16::MAX);
         assert!(ReportInterval::from_millis(655_360.0).is_err());
@@ -309,10 +320,14 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_becomes_0_only_if_exactly_0_was_asked_for() {
-        assert_eq!(MaxSpeed::from_dps(0.0).unwrap().raw(), 0);
-        assert_eq!(MaxTorque::from_percent(-0.0).unwrap().raw(), 0);
-        for small in [0.4, 0.499_999_97, 1e-30, -0.1, -5.0, f32::NEG_INFINITY] {
+    fn no_amount_becomes_a_0_that_means_no_limit() {
+        let error = MaxTorque::from_percent(0.0).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "maximum torque must be 1 to 255 % of rated current (0: no limit in a speed command), but 0 % of rated \
+             current was given: if that is meant, use its name"
+        );
+        for small in [0.0, -0.0, 0.4, 0.499_999_97, 1e-30, -0.1, -5.0, f32::NEG_INFINITY] {
             assert!(MaxSpeed::from_dps(small).is_err(), "{small}");
             assert!(MaxTorque::from_percent(small).is_err(), "{small}");
             assert_eq!(MaxSpeed::saturating_from_dps(small).unwrap().raw(), 1, "{small}");
@@ -357,7 +372,7 @@ mod tests {
             MaxSpeed::deserialize(from)
         };
         assert_eq!(read(500.0), Ok(MaxSpeed::from_raw(500)));
-        assert_eq!(read(0.0), Ok(MaxSpeed::from_raw(0)));
+        assert_eq!(read(0.0), Ok(MaxSpeed::NO_LIMIT));
         assert!(read(0.4).is_err() && read(f64::NAN).is_err());
     }
 }

@@ -354,7 +354,7 @@ mod tests {
 
     /// What something else sends to the first of two motors.
     const TURN: Speed =
-        Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
+        Speed { max_torque: MaxTorque::NO_LIMIT, speed: SpeedTarget::from_raw(9_000) };
 
     /// A motor does not count as stopped while something else sends this at this interval.
     fn is_not_left_alone(packet: Packet, every_ms: u64, kind: StopKind) {

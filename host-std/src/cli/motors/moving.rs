@@ -617,7 +617,7 @@ mod tests {
         let acceleration = Acceleration::try_from_raw(100).unwrap();
         session.ask(MotorId::MIN, WriteAcceleration { index, acceleration }).unwrap();
         let outcome = session.moving(MotorId::MIN, |session| {
-            let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(raw_speed));
+            let (max_torque, speed) = (MaxTorque::NO_LIMIT, SpeedTarget::from_raw(raw_speed));
             session.ask(MotorId::MIN, Speed { max_torque, speed })?;
             let later = session.master.now() + Duration::from_secs(1);
             session.wait_until(later)?;

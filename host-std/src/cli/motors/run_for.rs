@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     const TURN: Speed =
-        Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
+        Speed { max_torque: MaxTorque::NO_LIMIT, speed: SpeedTarget::from_raw(9_000) };
 
     fn fleet() -> CanFleet {
         Fleet::new(1).on_can(1_000_000).unwrap()

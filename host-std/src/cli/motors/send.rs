@@ -4,7 +4,7 @@ use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::command::{
-    AnyCommand, BusId, Phrase, RawCommand, Speed, awaits_reply,
+    AnyCommand, BusId, ForcePosition, Phrase, RawCommand, Speed, awaits_reply,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
@@ -188,6 +188,11 @@ impl Sending {
         let unlimited = match self.command {
             AnyCommand::Speed(Speed { max_torque, .. }) if max_torque.raw() == 0 => {
                 "0 % means no limit of torque. "
+            }
+            AnyCommand::ForcePosition(ForcePosition { max_torque, .. })
+                if max_torque.raw() == 0 =>
+            {
+                "0 % may mean no limit of torque: the manual does not say. "
             }
             _ => "",
         };
@@ -506,6 +511,10 @@ mod tests {
             (
                 "speed --speed-dps 1 --max-torque-pct 0",
                 "0 % means no limit of torque. This may set a",
+            ),
+            (
+                "force-position --max-torque-pct 0 --max-speed-dps 1 --angle-deg 1",
+                "0 % may mean no limit of torque: the manual does not say. This may set a",
             ),
             (
                 "speed --speed-dps 1 --max-torque-pct 1",

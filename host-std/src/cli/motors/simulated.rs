@@ -26,7 +26,7 @@ pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
 /// A session whose motor 1 turns, after half a second at 180 dps.
 pub(super) fn turning(fleet: &CanFleet) -> Session {
     let mut session = Session::on(fleet);
-    let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
+    let (max_torque, speed) = (MaxTorque::NO_LIMIT, SpeedTarget::from_raw(18_000));
     session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
     let later = session.master.now() + Duration::from_millis(500);
     session.wait_until(later).unwrap();

@@ -736,7 +736,7 @@ fn a_move_with_limited_force_ends_at_its_angle() {
 #[test]
 fn move_with_a_torque_limit_of_zero_is_not_sent() {
     let (bus, mut arm) = arm();
-    let (max_torque, max_speed) = (MaxTorque::from_raw(0), MaxSpeed::from_raw(100));
+    let (max_torque, max_speed) = (MaxTorque::NO_LIMIT, MaxSpeed::from_raw(100));
     let grip = ForcePosition { max_torque, max_speed, angle: Angle::from_raw(0) };
     let go_on = |_: &_| ControlFlow::Continue(());
     let refused = bring_up::move_to(&mut arm, id(1), grip, &MoveLimits::default(), go_on);
