@@ -68,7 +68,9 @@ pub enum RequestError {
     )]
     Busy,
     /// The motor reports this reply on its own (0xB6) and does not answer a request for it.
-    #[error("{0} is reported by the motor itself, which then does not answer it")]
+    #[error(
+        "{0} is reported by the motor itself, which then does not answer it: end the report (0xB6) first"
+    )]
     Reported(Opcode),
     /// The motor follows a stream of set-points of this kind, and their feedback looks like a reply to this. Put it in
     /// the stream, or wait for the late window after the last set-point.

@@ -129,3 +129,18 @@ impl clap::FromArgMatches for FromTable {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn help_has_no_markup_of_the_documentation() {
+        for opcode in Opcode::ALL {
+            let fields = opcode.command_fields().iter().map(|field| field.meaning);
+            for text in fields.chain([opcode.meaning()]) {
+                assert!(!text.contains(['[', ']', '`']), "{}: {text}", opcode.name());
+            }
+        }
+    }
+}

@@ -7,9 +7,14 @@ use super::explanation::Explanation;
 use super::reading::Explainer;
 use crate::{BusKind, text};
 
+/// So many discarded bytes are shown at once: on a line that carries nothing but noise, for example because its bit rate
+/// is another, no frame comes.
+const MOST_NOISE: usize = 256;
+
 /// Explains RS485 bytes as they come.
 ///
-/// Discarded bytes become one explanation with an error, before the next frame or from [`finish`](Self::finish).
+/// Discarded bytes become an explanation with an error: before the next frame, when there are many, or from
+/// [`finish`](Self::finish).
 ///
 /// ```
 /// use myactuator_host_std::explain::{Explainer, Rs485Stream};
@@ -55,6 +60,9 @@ impl Rs485Stream {
                 Fed::Discarded { bytes, fault } => {
                     self.reason.get_or_insert_with(|| reason(fault, &self.held));
                     self.noise.extend(self.held.drain(..bytes.min(self.held.len())));
+                    if self.noise.len() >= MOST_NOISE {
+                        found.extend(self.take_noise());
+                    }
                 }
             }
         }
@@ -156,5 +164,17 @@ mod tests {
             let raw: Vec<&str> = found.iter().map(|item| item.raw.as_str()).collect();
             assert_eq!(raw.join(" "), text::rs485::bytes(&bytes));
         }
+    }
+
+    #[test]
+    fn noise_without_a_frame_is_shown_while_it_comes() {
+        let mut stream = Rs485Stream::new(Explainer::new(Firmware::V4_3));
+        let mut found = stream.feed(&[0; 600]);
+        assert_eq!(found.len(), 2, "600 bytes, 256 at a time");
+        found.extend(stream.finish());
+        let raw: Vec<&str> = found.iter().map(|item| item.raw.as_str()).collect();
+        assert_eq!(raw.join(" "), text::rs485::bytes(&[0; 600]));
+        let why = "256 bytes are no frame: a frame begins with 3E, found 00";
+        assert_eq!(found[1].outcome, Err(why.into()));
     }
 }

@@ -74,7 +74,7 @@ impl Display for IgnoreReason {
                 "its filter keeps commands to all away (0x20, function 2); name the motor, or switch the filter off"
             }
             Self::CanOnly(_) => "this command exists on CAN only",
-            Self::UnknownCode(_) => "the manual has no such index or code",
+            Self::UnknownCode(_) => "the manual has no such index or code for this bus",
             Self::AnothersReply => "it takes it for another drive's reply, which looks the same",
             Self::ReportedActively(_) => {
                 "it reports this by itself (0xB6) and so is not asked; switch that off to ask"
