@@ -101,8 +101,8 @@
 //!
 //! # What ends it
 //! - **A thread leaves its control loop** while others have handles: the motors go on. A [`Guard`] stops them.
-//! - **The last handle is dropped:** all motors are stopped and the thread ends; the drop waits for that, unless a stop
-//!   of all that was waited for is in force. Motors that have not confirmed this stop are reported only to
+//! - **The last handle is dropped:** all motors are stopped and the thread ends; the drop waits for that, unless such a
+//!   stop was just waited for and nothing was done since. Motors that have not confirmed this stop are reported only to
 //!   [subscriptions](Subscription) that have room, as their last events
 //!   ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)). To know them yourself call
 //!   [`stop_all`](SharedBus::stop_all) first.

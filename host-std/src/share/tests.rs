@@ -776,6 +776,20 @@ fn guard_with_the_last_handle_stops_a_dead_motor_once() {
     assert_eq!(stops, 15);
 }
 
+/// The motor was not among those that were stopped, or may have restarted since.
+#[test]
+fn last_handle_stops_all_again_if_anything_was_asked_since() {
+    let (fleet, bus) = shared(2);
+    bus.ask(id(1), ReadStatus1).unwrap();
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    bus.ask(id(2), ReadStatus1).unwrap();
+    let log = fleet.world.log();
+    drop(bus);
+    let stops = packets(&log).into_iter().filter(|packet| packet.data[0] == 0x81);
+    let stopped = stops.filter(|packet| matches!(packet.channel, Channel::Reply(_))).count();
+    assert_eq!(stopped, 2);
+}
+
 #[test]
 fn question_after_a_stop_on_a_dead_bus_is_refused_in_time() {
     let (_fleet, order, bus) = fragile();

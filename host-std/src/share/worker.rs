@@ -38,24 +38,22 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         taken_at,
         looked_at,
         has_failed: false,
-        has_stopped_all: false,
+        stopped_all: None,
     };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = &outcome {
         desk.has_panicked(words(&**payload));
     }
-    let Worker { mut runner, asked, stopping, waiting, has_stopped_all, .. } = worker;
+    let Worker { mut runner, asked, stopping, waiting, stopped_all, .. } = worker;
     // Callers that wait find out now, and need not wait for the stop, unless it is a stop that they wait for. After a
     // panic nothing ends that.
     drop((asked, waiting));
     let stopping = if outcome.is_ok() { stopping } else { Vec::new() };
-    // What a caller has waited for needs no other.
-    let in_force = runner.master().stop_of_all();
-    if outcome.is_ok()
-        && has_stopped_all
-        && stopping.is_empty()
-        && in_force.is_some_and(|it| it == kind || it == StopKind::Off)
-    {
+    // A caller has just waited for this stop, and nothing was done since.
+    let now = runner.now();
+    let is_just_over = stopped_all
+        .is_some_and(|(it, at)| it == kind && now - at < LONGEST_STOP && stopping.is_empty());
+    if outcome.is_ok() && is_just_over {
         return desk.end();
     }
     let all = runner.master().motors();
@@ -93,8 +91,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
-    /// A caller has stopped all motors.
-    has_stopped_all: bool,
+    /// How a caller has stopped all motors, and when that was called for or over. Nothing was asked or ordered since.
+    stopped_all: Option<(StopKind, Instant)>,
 }
 
 /// A question that was put.
@@ -200,6 +198,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
             let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
+                if let Some((_, at)) = &mut self.stopped_all {
+                    *at = now;
+                }
                 for motor in stop.running.iter() {
                     desk.publish(&Event::StopUnconfirmed { motor });
                 }
@@ -283,12 +284,16 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
 
 impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     fn obey(&mut self, order: Order<R::Error>) {
+        let now = self.runner.now();
+        self.stopped_all = match order {
+            Order::StopAll { kind, .. } => Some((kind, now)),
+            _ => None,
+        };
         let master = self.runner.master();
         match order {
             Order::StopAll { kind, also, answer } => {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
-                self.has_stopped_all = true;
                 let running = master.motors();
                 self.await_stop(running, also, answer);
             }
@@ -316,6 +321,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         set_point: Untyped,
         found_at: Instant,
     ) -> Result<(), RequestError> {
+        self.stopped_all = None;
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
@@ -328,6 +334,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     }
 
     fn put(&mut self, mut question: Question<R::Error>) -> Put<R::Error> {
+        self.stopped_all = None;
         let now = self.runner.now();
         let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
         let Question { motor, command, insistence, .. } = question;

@@ -164,7 +164,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     let mut elapsed = Elapsed::default();
     let mut unconfirmed = motors;
     let mut given_up = motors.without(runner.master().motors());
-    let waiting = KeepAlive::new(runner, MotorSet::ALL).during(async |bus| {
+    let waiting = KeepAlive::of_stop(runner).during(async |bus| {
         while elapsed.at(bus.now()) < LONGEST_STOP {
             let look_again = match unconfirmed.without(given_up).is_empty() {
                 false => Elapsed::LOOK_AGAIN,

@@ -165,7 +165,7 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
             let unconfirmed = bus.stop_all(kind, MotorSet::EMPTY).await;
             stopping.set(stopping.get() - 1);
             // Its motors go on holding while another bus is waited for.
-            KeepAlive::new(&mut bus, MotorSet::ALL).until(is_over).await;
+            KeepAlive::of_stop(&mut bus).until(is_over).await;
             unconfirmed
         })))
     }

@@ -3,10 +3,13 @@
 //! The communication-loss protection (0xB3) is kept in a drive's ROM, so any motor may let go of its load once it has
 //! heard nothing for a while. The caller puts no set-points while a function waits.
 
+use embassy_futures::yield_now;
+
 use crate::command::ReadRunTime;
 use crate::io::async_runner::AsyncRunner;
+use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_IDLE;
-use crate::master::{Event, Failure, Master, MotorSet};
+use crate::master::{Event, Failure, Master, MotorSet, Patience};
 use crate::time::{Duration, Instant};
 
 /// How long a motor may be sent nothing before it is asked. A function that works with a motor speaks to it as often.
@@ -14,6 +17,8 @@ const LONGEST_REST: Duration = Duration::from_millis(20);
 /// The same for one that is silent. Its line may have been out for a moment, but on RS485 each question to a dead motor
 /// takes a time-out.
 const LONGEST_REST_OF_SILENT: Duration = Duration::from_millis(100);
+/// A stop that takes no longer than this is over before anybody is asked.
+const SHORT_STOP: Duration = Duration::from_millis(5);
 
 /// A loop that asks motors that were sent nothing for a while, while something else is waited for. Their answers are
 /// not needed, but a run time shows the master whether a motor has restarted, and no motor sends it as a report (0xB6).
@@ -22,14 +27,27 @@ pub(super) struct KeepAlive<'a, R: ?Sized> {
     motors: MotorSet,
     /// The motors that have a question.
     asked: MotorSet,
-    /// The bus carries nothing: none is asked until then.
+    /// None is asked until then: a stop has just begun, or the bus carries nothing.
     rests_until: Instant,
+    /// A stop waits, and is to be reported soon: no answer is waited for longer than for a stop's confirmation.
+    is_stopping: bool,
 }
 
 impl<'a, R: ?Sized> KeepAlive<'a, R> {
     /// Asks these motors.
     pub(super) fn new(runner: &'a mut R, motors: MotorSet) -> Self {
-        Self { runner, motors, asked: MotorSet::EMPTY, rests_until: Instant::ZERO }
+        let (asked, rests_until) = (MotorSet::EMPTY, Instant::ZERO);
+        Self { runner, motors, asked, rests_until, is_stopping: false }
+    }
+
+    /// Asks all motors while a stop waits.
+    pub(super) fn of_stop<const N: usize>(runner: &'a mut R) -> Self
+    where
+        R: AsyncRunner<N>,
+    {
+        let rests_until = runner.now() + SHORT_STOP;
+        let all = Self::new(runner, MotorSet::ALL);
+        Self { rests_until, is_stopping: true, ..all }
     }
 
     /// Does this work. Then waits for the last answer, so that no motor is left busy.
@@ -42,8 +60,8 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
     {
         let result = work(&mut self).await;
         while !self.asked.is_empty() {
-            let soon = self.now() + LONGEST_IDLE;
-            // Not longer than that: a load may fall that is to be looked at.
+            let soon = self.now() + RETRY_AFTER;
+            // Not longer than that: a load may fall that is to be looked at, or another bus be stopped.
             match self.runner.run(Some(soon)).await {
                 Ok(Some(event)) => drop(self.takes(&event)),
                 Ok(None) => {}
@@ -53,16 +71,22 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         result
     }
 
-    /// Asks them until this is so.
+    /// Asks them until this is so. Never idles: other buses of this thread are still being stopped.
     pub(super) async fn until<const N: usize>(self, is_over: impl Fn() -> bool)
     where
         R: AsyncRunner<N>,
     {
         let asking = self.during(async |bus| {
             while !is_over() {
-                let soon = bus.now() + LONGEST_IDLE;
-                // What the bus has is for nobody, and an error of it ends nothing here.
-                let _ = bus.run(Some(soon)).await;
+                let now = bus.now();
+                if bus.rests_until <= now {
+                    bus.ask(now);
+                    // What the bus has is for nobody. After an error it would idle.
+                    if bus.run(Some(now)).await.is_err() {
+                        bus.rests_until = now + LONGEST_REST;
+                    }
+                }
+                yield_now().await;
             }
         });
         asking.await;
@@ -80,12 +104,15 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
             true => 1,
             false => N,
         };
-        let once = Some(master.patience(1));
+        let once = match self.is_stopping {
+            true => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
+            false => master.patience(1),
+        };
         while self.asked.len() < most {
             let resting =
                 master.longest_resting(self.motors, now, LONGEST_REST, LONGEST_REST_OF_SILENT);
             let Some(motor) = resting else { return };
-            if master.put_request(motor, &ReadRunTime, once).is_err() {
+            if master.put_request(motor, &ReadRunTime, Some(once)).is_err() {
                 return;
             }
             self.asked.insert(motor);

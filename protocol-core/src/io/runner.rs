@@ -175,8 +175,8 @@ pub trait Runner<const N: usize> {
     /// - On RS485 it goes after the exchange under way, but waits for that no longer than 50 ms.
     /// - It takes some 15 reply time-outs if a motor does not confirm. Meanwhile the others are asked, so that their
     ///   communication-loss protection (0xB3) lets none go. On RS485 each of these turns comes after a time-out of the
-    ///   motor that does not confirm: at 115200 bit/s 200 ms are enough for six motors that hold, and not for many
-    ///   more.
+    ///   motor that does not confirm: at 115200 bit/s 200 ms are enough for six motors that hold beside a few that
+    ///   are dead, and not for many more.
     /// - A motor that a stop has switched off stays off until that stop is lifted, even if this one is to hold it.
     /// - Until [`Master::lift_stop`] whatever may move a motor is refused.
     ///

@@ -296,7 +296,7 @@ impl<const N: usize> Master<N> {
         Asked::new(purpose, Question::of(command, &data), data, patience)
     }
 
-    pub(super) fn stop_timeout(&self) -> Duration {
+    pub(crate) fn stop_timeout(&self) -> Duration {
         self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT)
     }
 
@@ -331,11 +331,6 @@ impl<const N: usize> Master<N> {
     /// lifted.
     pub fn is_stopped(&self, motor: MotorId) -> bool {
         self.stops_all.is_some() || self.stopped.contains(motor)
-    }
-
-    /// How all motors were [stopped](Self::stop_all), if that was not lifted.
-    pub const fn stop_of_all(&self) -> Option<StopKind> {
-        self.stops_all
     }
 
     pub(super) fn is_any_stopped(&self) -> bool {

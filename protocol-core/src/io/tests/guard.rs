@@ -355,3 +355,67 @@ fn a_move_is_stopped_as_its_limits_say_however_it_is_left() {
     let _ = block_on(arm.run(Some(arm.now())));
     assert_eq!(sent_last(&bus), Some(Shutdown.encode()));
 }
+
+/// A clock that idles until its own port has something, as one does that waits for one file.
+struct ClockOf(TestClock, TestSerial);
+
+impl Clock for ClockOf {
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn idle(&self, until: Instant) {
+        while self.now() < until && !self.1.is_ready() {
+            self.0.idle(until);
+        }
+    }
+}
+
+/// How long it takes to stop a line of three motors and one that is dead, alone or beside a line of one motor.
+fn line_stops_in(is_alone: bool) -> Duration {
+    let clock = TestClock::default();
+    let line = |_| {
+        let port = TestSerial::new(&clock);
+        let own = ClockOf(clock.clone(), port.clone());
+        SerialMaster::<_, _, 4>::new(port, own, Config::rs485(115_200, false))
+    };
+    let mut lines = [(), ()].map(line);
+    lines[0].ask(id(1), ReadMultiTurnAngle).unwrap();
+    for motor in [1, 2, 3] {
+        lines[1].ask(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    lines[1].ask(id(9), ReadMultiTurnAngle).unwrap_err();
+    let begun = clock.now();
+    let unconfirmed = match is_alone {
+        true => [MotorSet::EMPTY, lines[1].stop_all(StopKind::Hold, MotorSet::EMPTY)],
+        false => Guards::new(lines.each_mut(), StopKind::Hold).finish(),
+    };
+    assert_eq!(unconfirmed, [MotorSet::EMPTY, id(9).into()]);
+    clock.now() - begun
+}
+
+#[test]
+fn line_is_stopped_as_soon_beside_one_that_is_stopped_already() {
+    let [alone, beside] = [true, false].map(line_stops_in);
+    // While both are being stopped, each idles for the other, too.
+    assert!(beside <= alone + Duration::from_millis(10), "{alone} and {beside}");
+}
+
+/// Whether a stop is reported depends on the motor that is stopped alone.
+#[test]
+fn stop_takes_no_longer_beside_a_dead_motor() {
+    let config = Config { reply_timeout: Duration::from_secs(1), ..Config::CAN };
+    let times = [false, true].map(|is_one_dead| {
+        let clock = TestClock::default();
+        let mut arm = CanMaster::<_, _, 4>::new(TestCan::new(&clock), clock.clone(), config);
+        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+        if is_one_dead {
+            arm.ask(id(9), ReadMultiTurnAngle).unwrap_err();
+        }
+        clock.advance(150_000);
+        let begun = arm.now();
+        assert!(arm.stop(id(1), StopKind::Hold));
+        arm.now() - begun
+    });
+    assert_eq!(times[0], times[1]);
+}

@@ -348,7 +348,7 @@ impl TestSerial {
         state.flushed == state.written.len()
     }
 
-    fn is_ready(&self) -> bool {
+    pub(super) fn is_ready(&self) -> bool {
         let state = self.state.borrow();
         state.closed
             || state.read_fails
