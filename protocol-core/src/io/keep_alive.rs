@@ -92,15 +92,15 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         asking.await;
     }
 
-    /// On RS485, asks one at a time, and none while something else waits for the line: a load may fall that is to be
-    /// looked at.
+    /// On RS485, asks one at a time, and none while anything else but a stop waits for the line: a load may fall that is
+    /// to be looked at.
     fn ask<const N: usize>(&mut self, now: Instant)
     where
         R: AsyncRunner<N>,
     {
         let master = self.runner.master();
         let most = match master.config().is_rs485() {
-            true if master.has_something_to_send(now) => 0,
+            true if master.sends_more_than_stops(now) => 0,
             true => 1,
             false => N,
         };

@@ -30,12 +30,9 @@ impl Earliest {
 }
 
 impl<const N: usize> Master<N> {
-    /// Whether something may go, once the line is free. Stops that leave turns to others do not count.
-    pub(crate) fn has_something_to_send(&self, now: Instant) -> bool {
-        self.stop_to_all.is_some()
-            || !self.ready_stops().all(|(_, motor)| motor.stop_leaves_turns())
-            || self.broadcast.is_waiting() && self.broadcast_may_go()
-            || self.choose_motor(now).is_some()
+    /// Whether anything but a stop may go, once the line is free.
+    pub(crate) fn sends_more_than_stops(&self, now: Instant) -> bool {
+        self.broadcast.is_waiting() && self.broadcast_may_go() || self.choose_motor(now).is_some()
     }
 
     /// Stops first, then a broadcast that is due, then the motor that was served least.
