@@ -254,8 +254,8 @@ fn short_stop_of_one_motor_asks_no_other() {
     assert_eq!(runner.set_point(id(2), turn(10.0)), Ok(()));
 }
 
-/// With a reply time-out of a second. The stop of a dead motor takes 15 time-outs of 50 ms, and one more if another motor
-/// has died unnoticed and is asked meanwhile.
+/// With a reply time-out of a second. The stop of a dead motor takes 15 time-outs of 50 ms, and one more if another
+/// motor has died unnoticed and is asked meanwhile.
 #[test]
 fn stop_is_reported_in_time_though_another_motor_has_died() {
     let bus = Fleet::new(3).on_can(1_000_000).unwrap();

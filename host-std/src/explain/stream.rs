@@ -7,8 +7,8 @@ use super::explanation::Explanation;
 use super::reading::Explainer;
 use crate::{BusKind, text};
 
-/// So many discarded bytes are shown at once: on a line that carries nothing but noise, for example because its bit rate
-/// is another, no frame comes.
+/// So many discarded bytes are shown at once: on a line that carries nothing but noise, for example because its bit
+/// rate is another, no frame comes.
 const MOST_NOISE: usize = 256;
 
 /// Explains RS485 bytes as they come.

@@ -12,8 +12,8 @@ use crate::board::Board;
 use crate::report::{Report, Trouble};
 
 /// How long motors may take to confirm a stop. After that the others are reported, and all are stopped once more. It is
-/// shorter than a protection: on RS485 the stops to motors that do not answer leave little room for anything else that the
-/// others could hear.
+/// shorter than a protection: on RS485 the stops to motors that do not answer leave little room for anything else that
+/// the others could hear.
 const LONGEST_STOP: Duration = Duration::from_millis(400);
 /// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Also shorter
 /// than a protection.

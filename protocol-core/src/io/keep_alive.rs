@@ -92,8 +92,8 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         asking.await;
     }
 
-    /// On RS485, asks one at a time, and none while anything else but a stop waits for the line: a load may fall that is
-    /// to be looked at.
+    /// On RS485, asks one at a time, and none while anything else but a stop waits for the line: a load may fall that
+    /// is to be looked at.
     fn ask<const N: usize>(&mut self, now: Instant)
     where
         R: AsyncRunner<N>,

@@ -213,8 +213,8 @@ impl<const N: usize> Master<N> {
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
-        // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind does
-        // even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
+        // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind
+        // does even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
         let goes = |motor: &Motor, asked: &Asked| {
             asked.kind().byte() == question.kind.byte() || self.request_may_go(motor, asked)
         };

@@ -80,11 +80,11 @@ impl<const N: usize> Master<N> {
     /// - While the stop is in force, a motor that has not confirmed gets one more every 100 ms, or as often as RS485
     ///   has time for it, and at once when it is heard: it may be back on the bus at any time.
     /// - A program may call this in every cycle. If it is called again, even if it was lifted in between, a stop under
-    ///   way goes on: nothing that moves is sent before that is over. On RS485 every second turn then goes to others, as
-    ///   it does after the first stops of motors that are silent.
-    ///   On CAN a motor that has confirmed, and was sent nothing since that a stop would refuse, is told again once the
-    ///   motors that were sent no more than it have had their turn to answer. Such calls leave the motors no time for
-    ///   requests. After a lost answer, the next confirmation comes only when that answer can no longer come.
+    ///   way goes on: nothing that moves is sent before that is over. On RS485 every second turn then goes to others,
+    ///   as it does after the first stops of motors that are silent. On CAN a motor that has confirmed, and was sent
+    ///   nothing since that a stop would refuse, is told again once the motors that were sent no more than it have had
+    ///   their turn to answer. Such calls leave the motors no time for requests. After a lost answer, the next
+    ///   confirmation comes only when that answer can no longer come.
     ///
     /// # Motors without a place
     /// One stop to all is sent before each motor's own in these cases:

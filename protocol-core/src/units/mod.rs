@@ -3,7 +3,8 @@
 //! Each quantity has a type of its own, so that a speed limit cannot be passed as an angle, and one place for its
 //! scale. `raw` is the integer on the wire. The conversions from floats round to the nearest step and refuse what does
 //! not fit; `saturating_*` takes the nearest allowed amount instead. Both refuse NaN: for a position there is no
-//! harmless number to put in its place. If 0 has a meaning of its own ("no limit"), it has a name, and no amount becomes it.
+//! harmless number to put in its place. If 0 has a meaning of its own ("no limit"), it has a name, and no amount
+//! becomes it.
 //!
 //! ```
 //! use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
