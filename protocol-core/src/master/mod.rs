@@ -106,18 +106,21 @@
 //! - Where a controller hands frames back, it is one round less for each frame beyond the first that may be in its
 //!   mailboxes. Otherwise the motor of a frame that was handed back would keep all others waiting.
 //!
-//! The others do not wait for a motor that was silent before, or that did not answer on a quiet bus. So on CAN a silent
-//! motor costs the others the time of its own commands on the bus and no more.
+//! Nobody waits any more for a reply that must have come by now: the bus was quiet for the time of three frames, or has
+//! carried a reply that would have lost the arbitration against it. So a silent motor costs the others the time of its
+//! own commands on the bus. Only if its id is higher than theirs, and they never leave the bus quiet, do they also wait
+//! for its reply: at its first three commands without an answer, and at every eighth from then on, for it may be back.
 //!
-//! Lost feedback of a stream costs more than its own set-point. The motor's next one waits until it counts as lost:
-//! after [`Config::longest_response`] or, if they are longer, three of the motor's usual round trips. On a full bus
-//! these are two more turns. The others wait for it as for any answer. At 1 Mbit/s eight motors that lose 5 % each get
-//! some 455 answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any
-//! other reply.
+//! Lost feedback of a stream costs hardly more than its own set-point. The motor's next one goes when the feedback
+//! counts as lost: when nobody waits for it any more, and after [`Config::longest_response`] or, if it is longer, the
+//! time that hardly any of the motor's round trips takes. At 1 Mbit/s eight motors that lose 5 % each get more than 470
+//! answers a second instead of 520. The third loss in a row, and each after it, is waited for as long as any other
+//! reply.
 //!
 //! On RS485 there is one exchange at a time, and each command to a silent motor occupies the line for
 //! [`Config::reply_timeout`]. Frames that nobody asked for keep no command off the line.
 
+mod arbitration;
 mod broadcast;
 mod config;
 mod event;
@@ -151,7 +154,9 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
+use arbitration::LastReply;
 use broadcast::Broadcast;
+use motor::deadlines::Hearing;
 use motor::{Motor, News, is_before};
 use places::Places;
 use request::{Request, SHORTEST_TIMEOUT};
@@ -258,6 +263,8 @@ pub struct Master<const N: usize> {
     busy_until: Instant,
     /// When a frame was last received. Used on CAN only.
     heard_at: Instant,
+    /// Used on CAN only.
+    last_reply: LastReply,
 }
 
 impl<const N: usize> Master<N> {
@@ -295,6 +302,7 @@ impl<const N: usize> Master<N> {
             due: Instant::ZERO,
             busy_until: Instant::ZERO,
             heard_at: Instant::ZERO,
+            last_reply: LastReply::NONE,
         }
     }
 
@@ -317,16 +325,19 @@ impl<const N: usize> Master<N> {
             self.for_all = ForAll::Gone;
         }
         if now >= self.due {
-            let heard_at = self.heard_at_least();
-            let in_flight = self.places.in_flight;
-            let is_quiet = self.quiet_at() <= now;
-            let under_way = self.places.waiting.or(in_flight);
+            let heard = Hearing {
+                is_quiet: self.quiet_at() <= now,
+                pace: self.pace,
+                at: self.heard_at_least(),
+                last_reply: self.last_reply,
+            };
+            let under_way = self.places.waiting.or(self.places.in_flight);
             let mut next = Earliest::default();
             for place in self.places.taken.iter() {
                 let lingers = || self.motors.get(place).is_some_and(Motor::lingers);
                 if under_way.contains(place) || lingers() {
                     self.change_at(place, |motor, config| {
-                        motor.handle_timeout(now, is_quiet, heard_at, config);
+                        motor.handle_timeout(now, &heard, config);
                         // The bus may be quiet sooner than it seems now.
                         motor.poll_at(true, Instant::ZERO, config, &mut next);
                     });

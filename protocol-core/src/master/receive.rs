@@ -3,6 +3,7 @@
 use crate::command::{AnyReply, BusId, Command, ReadStatus1};
 use crate::data::Data;
 use crate::id::MotorId;
+use crate::master::arbitration::LastReply;
 use crate::master::late::Question;
 use crate::master::motor::replies::{Heard, Meaning};
 use crate::master::motor::reports::reported_bit;
@@ -75,7 +76,10 @@ impl<const N: usize> Master<N> {
             Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => {
                 Some(self.lost_master(motor, now))
             }
-            Channel::Reply(motor) | Channel::MotionReply(motor) => self.handle_reply(motor, packet),
+            Channel::Reply(motor) | Channel::MotionReply(motor) => {
+                self.last_reply = LastReply::new(packet.channel, now);
+                self.handle_reply(motor, packet)
+            }
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
                 let (motor, reply) = (reply.id(), AnyReply::BusId(reply));

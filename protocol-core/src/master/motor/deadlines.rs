@@ -1,15 +1,24 @@
 //! What time alone does to a motor: something is late, too old or over.
 
+use crate::master::arbitration::LastReply;
 use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
 use crate::master::motor::{LastSent, Motor, News};
 use crate::master::request::{Proof, Request};
 use crate::master::schedule::Earliest;
+use crate::packet::Channel;
 use crate::time::{Duration, Instant};
 
-/// Feedback that takes this many times longer than usual is lost.
-const USUAL_TIMES: u32 = 3;
+/// What the master knows of its bus.
+pub(crate) struct Hearing {
+    /// The bus has been quiet: no reply waits for it.
+    pub(crate) is_quiet: bool,
+    pub(crate) pace: u32,
+    /// When anything was last heard.
+    pub(crate) at: Instant,
+    pub(crate) last_reply: LastReply,
+}
 
 impl Motor {
     /// Whether time alone changes anything about it, although nothing is under way.
@@ -31,12 +40,12 @@ impl Motor {
     /// lost; RS485, with one exchange at a time, is always quiet. It is not shorter if the usual round trip is unknown,
     /// or if feedback fails to come again and again.
     fn set_point_timeout(&self, config: &Config) -> Duration {
-        let usual = self.health.round_trip();
-        let is_known = usual > Duration::ZERO && !self.is_silent();
+        let longest = self.health.longest_round_trip();
+        let is_known = longest > Duration::ZERO && !self.is_silent();
         if !is_known || !(self.had_its_chance() || config.is_rs485()) {
             return config.reply_timeout;
         }
-        config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
+        config.longest_response.max(longest).min(config.reply_timeout)
     }
 
     pub(crate) fn drop_what_is_too_old(&mut self, now: Instant) {
@@ -45,22 +54,27 @@ impl Motor {
         }
     }
 
-    /// Takes note of the time: drops what is too old, and sends again or gives up what is overdue. Something was last
-    /// heard on the bus at `heard_at`.
-    pub(crate) fn handle_timeout(
-        &mut self,
-        now: Instant,
-        is_quiet: bool,
-        heard_at: Instant,
-        config: &Config,
-    ) {
-        // A reply that only waited for a quiet bus must have come when the bus is quiet, or after the usual time-out: a
-        // bus that others keep busy is never quiet.
-        let waited = now - self.sent;
-        if waited >= config.longest_response && (is_quiet || waited >= config.reply_timeout) {
+    /// Whether its reply, if it only waited for the bus, must have come: the bus was quiet, or has carried one that
+    /// loses arbitration, or the usual time-out is over.
+    fn reply_had_its_chance(&self, now: Instant, heard: &Hearing, config: &Config) -> bool {
+        let ready = self.sent + config.longest_response;
+        let came_instead = |id| {
+            let is_motion = self.stream.in_flight().is_some_and(|it| it.question.kind.is_motion());
+            let reply = if is_motion { Channel::MotionReply(id) } else { Channel::Reply(id) };
+            heard.last_reply.came_instead_of(reply, ready + config.frame_time)
+        };
+        now >= ready
+            && (heard.is_quiet
+                || self.id.is_some_and(came_instead)
+                || now >= self.sent + config.reply_timeout)
+    }
+
+    /// Takes note of the time: drops what is too old, and sends again or gives up what is overdue.
+    pub(crate) fn handle_timeout(&mut self, now: Instant, heard: &Hearing, config: &Config) {
+        if self.reply_had_its_chance(now, heard, config) {
             self.last_sent.insert(LastSent::HAD_ITS_CHANCE);
         }
-        self.on_its_way.age(now, heard_at, config);
+        self.on_its_way.age(now, heard.at, config);
         self.is_beyond_late |= self.late.expire(now);
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
@@ -82,6 +96,7 @@ impl Motor {
             self.note_bus_may_be_cut(now, config);
         }
         if asked.may_go_again() {
+            self.join_with(0, heard.pace);
             self.request = Request::Waiting(asked);
             return;
         }

@@ -1,6 +1,6 @@
 //! What the master keeps for one motor: its request, its stream, and what may still arrive.
 
-mod deadlines;
+pub(super) mod deadlines;
 mod late_moves;
 mod pushed_out;
 pub(super) mod replies;
@@ -238,7 +238,11 @@ impl Motor {
     /// frames were handed back, keeps a claim, but only to a few turns: it may itself be what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
-        let claim = if waits { LONGEST_CLAIM } else { LONGEST_LEAD };
+        self.join_with(if waits { LONGEST_CLAIM } else { LONGEST_LEAD }, pace);
+    }
+
+    /// Puts it at most this many rounds behind the others.
+    pub(super) fn join_with(&mut self, claim: u32, pace: u32) {
         // A motor that was stopped again and again may be further ahead: it is put back.
         let latest = pace.wrapping_add(LONGEST_LEAD);
         if is_before(latest, self.round) {
@@ -284,14 +288,15 @@ impl Motor {
     }
 
     /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
-    /// behind, unless it did not answer its last two commands. They do even then if it is to end its motion: its answer
-    /// must not lose every arbitration. And they do if its frame made way for another, so that this does not happen for
-    /// ever. They never do once its reply [had its chance](LastSent::HAD_ITS_CHANCE).
+    /// behind, unless it is silent: then only at every eighth command, since it may be back, and even then on a full bus
+    /// its answers lose every arbitration. They always do if it is to end its motion, or if its frame made way for
+    /// another, so that this does not happen for ever. They never do once its reply
+    /// [had its chance](LastSent::HAD_ITS_CHANCE).
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
         let ends_motion = || self.request.in_flight().is_some_and(Asked::ends_motion);
-        let may_answer = || !self.is_silent() || ends_motion();
+        let may_answer = || self.misses < SILENT_AFTER || self.misses % 8 == 0 || ends_motion();
         (makes_way || self.is_behind(round) && may_answer()) && !self.had_its_chance()
     }
 
@@ -436,7 +441,7 @@ impl Motor {
     /// A reply has not come in time.
     pub(super) fn note_miss(&mut self, config: &Config, now: Instant) {
         self.last_sent.remove(LastSent::GOES_ON);
-        self.misses = self.misses.saturating_add(1);
+        self.misses = self.misses.checked_add(1).unwrap_or(SILENT_AFTER);
         self.health.count_miss();
         self.note_silence(config, now);
     }
