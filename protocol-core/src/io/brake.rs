@@ -56,10 +56,11 @@ async fn open<B: Calls<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
     open_and_hold(bus, motor).await?;
-    let status = moved(bus, motor, has_errors).await?;
-    let fails = match status {
-        status if has_errors(&status) => BringUpError::Fault { motor, errors: status.errors },
-        status if status.brake != BrakeCommand::RELEASE => {
+    let (status, holds) = moved(bus, motor, true).await?;
+    let fails = match (status, holds) {
+        (status, _) if has_errors(&status) => BringUpError::Fault { motor, errors: status.errors },
+        (_, Err(stopped)) => stopped.into(),
+        (status, Ok(())) if status.brake != BrakeCommand::RELEASE => {
             return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
         }
         _ => match turned_by_load(bus, motor, COMES_TO_REST, true).await? {
@@ -147,22 +148,34 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Gives a brake the time to open or to lock; ends sooner if `is_over`. Returns the drive's last status.
+/// Gives a brake the time to open or to lock. Returns the drive's last status. If it `opens`, ends as soon as nothing
+/// holds: the drive reports an error, or a stop has switched the motor off, which is also returned.
 async fn moved<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
-    is_over: impl Fn(&Status1) -> bool,
-) -> Result<Status1, CallError<B::Error>> {
+    opens: bool,
+) -> Result<(Status1, Result<(), CallError<B::Error>>), CallError<B::Error>> {
     let end = bus.now() + BRAKE_MOVES;
     loop {
         // In silence the communication-loss protection would lock the brake and switch the motor off.
         let status = insist(bus, motor, ReadStatus1).await?;
+        let holds = if opens { check_not_let_go(bus, motor).await } else { Ok(()) };
         let now = bus.now();
-        if now >= end || is_over(&status) {
-            return Ok(status);
+        if now >= end || holds.is_err() || opens && has_errors(&status) {
+            return Ok((status, holds));
         }
         let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
     }
+}
+
+/// Refuses a motor that a stop in force has switched off.
+async fn check_not_let_go<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<(), CallError<B::Error>> {
+    let stopped = check_not_stopped(bus, motor);
+    // The stop may hold it.
+    if stopped.is_err() && runs(bus, motor).await == Some(false) { stopped } else { Ok(()) }
 }
 
 /// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been
@@ -247,7 +260,7 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
             return Err(refused.into());
         }
         // It may have heard the command all the same.
-        let says = moved(bus, motor, |_| false).await?.brake;
+        let says = moved(bus, motor, false).await?.0.brake;
         stands_by_itself(bus, motor, held).await?;
         locks += 1;
         match told {

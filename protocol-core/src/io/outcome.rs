@@ -24,13 +24,12 @@ pub enum BringUpError<E> {
     /// The motor has not acknowledged its new id. It was not restarted, and is off. Switch its supply off and on to see
     /// which id it has kept.
     #[error(
-        "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}what it has kept \
-         shows when its supply was switched off and on",
+        "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}a scan shows what it has \
+         kept when its supply was switched off and on",
         if *is_alone {
             ""
         } else {
-            "connect it alone, to a line without noise, and let the master forget other ids, so that 0x79 can be tried \
-             as well; "
+            "connect it alone, to a line without noise, and try again with a new master, which can use 0x79 as well; "
         }
     )]
     IdNotTaken {
@@ -113,7 +112,8 @@ pub enum BringUpError<E> {
     /// did not obey. Or it runs, and has not brought the shaft to rest within half a second: the load may be too heavy.
     /// The brake is locked, or was told to lock.
     #[error(
-        "motor {motor} turns at {speed} though it was told to hold while its brake opened: the brake is told to lock again"
+        "motor {motor} turns at {speed} behind its open brake: it does not hold, or was switched off meanwhile; the brake \
+         is told to lock again"
     )]
     NotHeld {
         /// The motor.
