@@ -56,10 +56,11 @@ impl Group {
 
 impl Session {
     /// A motor's fields as one JSON object.
-    pub(super) fn json(&self, motor: MotorId, groups: &[Group]) -> Value {
+    pub(super) fn json(&self, motor: MotorId, groups: &[Group], note: Option<String>) -> Value {
         let mut object = json!({ "bus": self.address.to_string(), "id": motor.get() });
         if let Value::Object(object) = &mut object {
             object.extend(groups.iter().flat_map(Group::values));
+            object.extend(note.map(|note| ("note".to_owned(), note.into())));
         }
         object
     }

@@ -64,7 +64,9 @@ impl Session {
     pub(super) fn not_brought_up(&self, error: BringUpError<BusError>) -> Unfinished {
         match error {
             BringUpError::NotThere(_) => Unfinished::Failed(format!(
-                "{error}: check its power, the wiring and the bit rate, which may have changed with the restart ({})",
+                "{error}: check its power, the wiring and what may have changed with the restart, its id \
+                 ('myactuator scan --bus {}') and the bit rate ({})",
+                self.address,
                 self.other_rates()
             )),
             error => error.into(),

@@ -115,6 +115,8 @@ mod tests {
         assert!(message.starts_with("motor 1 does not answer: check its power, "), "{message}");
         let hint = "'myactuator scan --all-rates --bus slcan:/dev/ttyACM0@1000000' tries";
         assert!(message.contains(hint), "{message}");
+        let other_id = "its id ('myactuator scan --bus slcan:/dev/ttyACM0@1000000')";
+        assert!(message.contains(other_id), "{message}");
     }
 
     #[test]

@@ -11,8 +11,8 @@ use myactuator_protocol_core::master::{Failure, MotorSet};
 use super::group::Group;
 use super::hints::other_rates;
 use super::on_bus::OnBus;
-use super::session::{Session, say, shared};
-use crate::cli::{Outcome, Unfinished, report};
+use super::session::{Session, say};
+use crate::cli::{Outcome, Unfinished};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
 const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
@@ -114,13 +114,8 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
     };
     let status = session.ask(motor, ReadStatus1);
     let read = model.and_then(|model| Ok(model.and(&status?)));
-    let mut note = None;
     // A motor that does not always answer is reported below.
-    if session.is_shared(motor) == Ok(true) {
-        let shared = shared(motor);
-        report("note", &shared);
-        note = Some(shared);
-    }
+    let mut note = session.note_shared(motor);
     let (group, line) = match read {
         Ok(group) => (group.clone(), group.to_string()),
         Err(Unfinished::Failed(sentence)) => {
@@ -134,11 +129,7 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
     if !as_json {
         return Ok(format!("motor {motor}: {line}"));
     }
-    let mut object = session.json(motor, &[group]);
-    if let Some(note) = note {
-        object["note"] = note.into();
-    }
-    Ok(object.to_string())
+    Ok(session.json(motor, &[group], note).to_string())
 }
 
 /// The same bus at each rate that motors can have.

@@ -299,6 +299,13 @@ impl Session {
         Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
     }
 
+    /// Says so if two motors seem to have this id, and returns what was said.
+    pub(super) fn note_shared(&mut self, motor: MotorId) -> Option<String> {
+        let note = (self.is_shared(motor) == Ok(true)).then(|| shared(motor))?;
+        report("note", &note);
+        Some(note)
+    }
+
     /// Before a command that needs consent: checks whether two motors have this id, since both would obey.
     ///
     /// - A command that does not move is refused then. The answer of one motor says nothing about the other, which may

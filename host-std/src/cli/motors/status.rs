@@ -1,5 +1,7 @@
 //! `myactuator info`: what motors are. `myactuator status`: their present state.
 
+use std::iter;
+
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     Model, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunningMode, ReadStatus1,
@@ -63,13 +65,7 @@ fn print_each(
     let mut outcome = Ok(());
     for motor in session.meant(arguments.motors.id)?.iter() {
         match read(&mut session, motor) {
-            Ok(groups) if arguments.json => say(&session.json(motor, &groups).to_string())?,
-            Ok(groups) => {
-                say(&format!("motor {motor}"))?;
-                for group in groups {
-                    say(&format!("  {group}"))?;
-                }
-            }
+            Ok(groups) => say(&described(&mut session, motor, groups, arguments.json))?,
             // The other motors are still read.
             Err(Unfinished::Failed(sentence)) => {
                 report("error", sentence);
@@ -79,4 +75,34 @@ fn print_each(
         }
     }
     outcome
+}
+
+/// What was read of a motor: a line each, or one object. Reads of two motors with one id may be of either.
+fn described(session: &mut Session, motor: MotorId, groups: Vec<Group>, as_json: bool) -> String {
+    let note = session.note_shared(motor);
+    if as_json {
+        return session.json(motor, &groups, note).to_string();
+    }
+    let lines = groups.iter().map(|group| format!("  {group}"));
+    iter::once(format!("motor {motor}")).chain(lines).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use myactuator_host_std::sim::Fleet;
+
+    #[test]
+    fn json_carries_the_note_that_what_was_read_may_be_of_either_of_two_motors() {
+        let note = |fleet: Fleet| {
+            let fleet = fleet.on_can(1_000_000).unwrap();
+            let session = &mut Session::on(&fleet);
+            let groups = how_it_does(session, MotorId::MIN).unwrap();
+            let object = described(session, MotorId::MIN, groups, true);
+            serde_json::from_str::<serde_json::Value>(&object).unwrap().get("note").cloned()
+        };
+        let told = "two motors seem to have id 1: connect only one of them";
+        assert_eq!(note(Fleet::new(2).all_with_id(MotorId::MIN)), Some(told.into()));
+        assert_eq!(note(Fleet::new(1)), None);
+    }
 }
