@@ -1,10 +1,13 @@
 //! Signals that ask the program to end or to halt. While a motor moves they stop it first.
 
+use std::fs::File;
 use std::io;
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
 
+use rustix::process::{Signal, getpgrp, kill_current_process_group};
+use rustix::termios::tcgetpgrp;
 use signal_hook::consts::{
     SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP,
     SIGTTOU, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
@@ -77,10 +80,20 @@ pub(super) fn has_come() -> bool {
 pub(super) fn end_by_it() -> Option<u8> {
     let signal = i32::try_from(LAST.load(Ordering::SeqCst)).ok().filter(|signal| *signal != 0)?;
     let ends = if matches!(signal, SIGQUIT | SIGTSTP | SIGTTOU) { SIGINT } else { signal };
+    if matches!(signal, SIGQUIT | SIGTSTP) && has_the_keys() {
+        // A script ends its loop only if the signal has reached it, too.
+        let _ = kill_current_process_group(Signal::INT);
+    }
     if std::process::id() != FIRST_PROCESS {
         let _ = signal_hook::low_level::emulate_default_handler(ends);
     }
     u8::try_from(ends).ok().and_then(|number| number.checked_add(128))
+}
+
+/// Whether the keys of the terminal reach this program's process group: that of the script that runs it, if one does.
+fn has_the_keys() -> bool {
+    let terminal = File::open("/dev/tty").and_then(|it| Ok(tcgetpgrp(it)?));
+    terminal.is_ok_and(|foreground| foreground == getpgrp())
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
+use crate::question::terminal;
 use crate::run::{myactuator, tells_of_silence, text, unless_late};
 use crate::sim_control::{control, controlled, controlled_on, controlled_with};
 use crate::sim_serve::{PATIENCE, done_at};
@@ -222,6 +223,33 @@ fn signals_stop_the_motor_first_though_both_output_pipes_are_full() {
         let expected = (dies_of.map(Signal::as_raw), code);
         assert_eq!((ended.signal(), ended.code()), expected, "{kind:?}");
         assert!(stands(socket), "{kind:?}");
+    }
+}
+
+/// The signals of these keys reach the script, too, which goes on after all but that of Ctrl-C.
+#[test]
+fn every_key_that_stops_a_motor_ends_the_loop_of_a_script() {
+    let (_folder, path, simulation) = controlled(2);
+    let socket = path.to_str().unwrap();
+    let move_both = format!(
+        "for id in 1 2; do {} speed --yes --bus {} --id $id --speed-dps {DPS} --for-s 60; done",
+        env!("CARGO_BIN_EXE_myactuator"),
+        simulation.bus("slcan"),
+    );
+    for (name, key) in [("Ctrl-C", 3), ("Ctrl-\\", 0x1C), ("Ctrl-Z", 0x1A)] {
+        let attempt = || {
+            let (mut keys, terminal) = terminal();
+            // In a session of its own, whose terminal this is.
+            let mut script = Command::new("setsid");
+            script.args(["--ctty", "--wait", "bash", "-c", &move_both]).stdin(terminal);
+            let mut script = script.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+            wait_until_it_turns(socket, &mut script);
+            keys.write_all(&[key]).unwrap();
+            ends_saying(&mut script)
+        };
+        let (ended, message) = unless_late(attempt, |(_, message)| tells_of_silence(message));
+        assert!(died_of(Signal::INT, ended), "{name}: {ended} {message}");
+        assert_eq!(state(socket)["motors"][1]["angle_deg"], 0.0, "{name}: the next motor moved");
     }
 }
 

@@ -11,9 +11,10 @@ bus is cut. For that case set the motor's own communication-loss protection: 'my
 
 /// How a signal ends a program that it does not end at once.
 pub(super) const SIGNALS: &str = "\
-If a signal comes meanwhile, this program ends by that signal when it is done, even after a success, so that a shell's \
-loop over motors ends too. Ctrl-C, Ctrl-\\ and Ctrl-Z all end it as Ctrl-C does (status 130), other signals as \
-themselves, such as SIGTERM (143) and SIGHUP (129).";
+If a signal comes meanwhile, this program ends by that signal when it is done, even after a success. Ctrl-C, Ctrl-\\ \
+and Ctrl-Z all end it as Ctrl-C does (status 130), and with it a shell's loop over motors. Other signals end it as \
+themselves, such as SIGTERM (143) and SIGHUP (129). The loop of a script then goes on to the next motor unless it says \
+'|| break'.";
 
 /// What ends the holding of a motor.
 pub(super) const HOLDS: &str = "\
