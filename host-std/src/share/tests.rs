@@ -18,7 +18,7 @@ use myactuator_protocol_core::master::{
     Bus, Config, Event, Failure, Master, MotorSet, Patience, StopKind,
 };
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
@@ -220,6 +220,27 @@ fn stop_that_is_waited_for_is_confirmed_although_the_last_handle_has_gone() {
     // It would be held if the end of the bus had undone the stop.
     let state = fleet.drives[0].with(|drive| drive.state());
     assert!(!state.output_on, "{state:?}");
+}
+
+/// It hears nothing else meanwhile.
+#[test]
+fn motor_that_has_confirmed_a_stop_holds_while_a_dead_one_is_waited_for() {
+    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+    let patient = Config { reply_timeout: Duration::from_millis(50), ..Config::CAN };
+    let (port, clock) = (fleet.world.port(), fleet.world.clock());
+    let master = CanMaster::<_, _, 8>::new(port, clock, patient);
+    let world = fleet.world.clone().in_real_time();
+    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+    bus.ask(id(2), ReadStatus1).unwrap();
+    fleet.world.cut(fleet.drives[1].station());
+    let mut events = bus.subscribe(1_000);
+    // 15 attempts take 750 ms.
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), id(2).into());
+    assert!(fleet.drives[0].with(|drive| drive.state()).output_on);
+    drop(bus);
+    // What it was asked is nobody's business.
+    assert!(events.all(|event| !matches!(event, Event::Reply { .. })));
 }
 
 #[test]

@@ -122,7 +122,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Sets after how long without a command a motor stops on its own (0xB3), as
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. A command of any thread counts.
-    /// But while a function here waits, only other threads speak to the other motors.
+    /// But while a function here waits, only other threads speak to the other motors; a stop asks them itself.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

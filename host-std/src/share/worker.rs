@@ -6,7 +6,7 @@ use std::sync::{Arc, Weak};
 use std::time;
 
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{Elapsed, LONGEST_STOP, LONGEST_TURN, Runner};
+use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
@@ -33,6 +33,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         runner,
         asked,
         stopping,
+        keep_alive: None,
         waiting,
         turn_ends: None,
         taken_at,
@@ -81,6 +82,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
+    /// While a stop waits for one motor, the others are asked.
+    keep_alive: Option<KeepAlive>,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
@@ -120,6 +123,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let goes_on = desk.take(self);
         self.taken_at = taken_at;
         self.looked_at = self.runner.now();
+        if let Some(keep_alive) = &mut self.keep_alive {
+            keep_alive.ask(MotorSet::ALL, self.runner.master(), self.looked_at);
+        }
         match self.runner.poll() {
             Ok(event) => {
                 if std::mem::take(&mut self.has_failed) {
@@ -157,6 +163,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             && self.runner.master().has_restarted(motor)
         {
             desk.has_restarted(motor);
+        }
+        let now = self.runner.now();
+        if self.keep_alive.as_mut().is_some_and(|it| it.takes(event, now)) {
+            return;
         }
         // A caller that has its answer and then subscribes gets nothing older.
         desk.publish(event);
@@ -209,6 +219,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             }
             !is_over
         });
+        if self.stopping.is_empty() {
+            self.keep_alive = None;
+        }
     }
 
     /// Answers the callers whose time has come.
@@ -277,7 +290,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
     ) {
-        let unconfirmed = also.without(running);
+        let (unconfirmed, now) = (also.without(running), self.runner.now());
+        self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
         self.stopping.push(Stopping { running, unconfirmed, elapsed: Elapsed::default(), answer });
     }
 }

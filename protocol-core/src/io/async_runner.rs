@@ -8,7 +8,7 @@ use crate::command::{Command, SetPoint};
 use crate::id::MotorId;
 use crate::io::asking::{Askings, CallError, outcome_of_set_point};
 use crate::io::elapsed::Elapsed;
-use crate::io::keep_alive::KeepAlive;
+use crate::io::keep_alive::KeptAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_STOP;
@@ -164,7 +164,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     let mut elapsed = Elapsed::default();
     let mut unconfirmed = motors;
     let mut given_up = motors.without(runner.master().motors());
-    let waiting = KeepAlive::of_stop(runner).during(async |bus| {
+    let waiting = KeptAlive::of_stop(runner).during(async |bus| {
         while elapsed.at(bus.now()) < LONGEST_STOP {
             let look_again = match unconfirmed.without(given_up).is_empty() {
                 false => Elapsed::LOOK_AGAIN,

@@ -7,7 +7,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
-use crate::io::keep_alive::KeepAlive;
+use crate::io::keep_alive::KeptAlive;
 use crate::io::presence::answers;
 use crate::master::{MotorSet, StopKind};
 use crate::time::Instant;
@@ -94,7 +94,7 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
     }
 
     async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<R::Error>> {
-        let all = KeepAlive::new(self, MotorSet::ALL);
+        let all = KeptAlive::new(self, MotorSet::ALL);
         all.during(async |bus| bus.run_until(until, |_| {}).await).await
     }
 
@@ -105,7 +105,7 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
         attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<R::Error>> {
         let patience = attempts.map(|attempts| self.master().patience(attempts));
-        let all = KeepAlive::new(self, MotorSet::ALL);
+        let all = KeptAlive::new(self, MotorSet::ALL);
         all.during(async |bus| bus.ask_with(motor, command, patience, |_| {}).await).await
     }
 

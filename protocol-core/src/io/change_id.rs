@@ -12,7 +12,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::switch_off;
-use crate::io::keep_alive::KeepAlive;
+use crate::io::keep_alive::KeptAlive;
 use crate::io::outcome::BringUpError;
 use crate::io::presence::{find, is_there};
 use crate::io::restart::restart_what_is_off;
@@ -107,7 +107,7 @@ async fn is_taken_by_function_5<R: AsyncRunner<N>, const N: usize>(
     // The command is over when it was sent: drives were seen to take it without an answer.
     runner.ask_with(from, command, None, &mut hear).await?;
     let end = runner.now() + ACKNOWLEDGED_IN;
-    let all = KeepAlive::new(runner, MotorSet::ALL);
+    let all = KeptAlive::new(runner, MotorSet::ALL);
     all.during(async |bus| bus.run_until(end, hear).await).await?;
     Ok(is_taken || is_there(runner, to).await?)
 }
@@ -134,7 +134,7 @@ pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    let others = KeepAlive::new(runner, MotorSet::ALL.without(id.into()));
+    let others = KeptAlive::new(runner, MotorSet::ALL.without(id.into()));
     others.during(async |bus| Ok(!always_answers_once(bus, id).await?)).await
 }
 

@@ -7,7 +7,7 @@ use embassy_futures::block_on;
 use embassy_futures::join::join_array;
 
 use crate::io::async_runner::AsyncRunner;
-use crate::io::keep_alive::KeepAlive;
+use crate::io::keep_alive::KeptAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::polled::Polled;
 use crate::io::runner::Runner;
@@ -165,7 +165,7 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
             let unconfirmed = bus.stop_all(kind, MotorSet::EMPTY).await;
             stopping.set(stopping.get() - 1);
             // Its motors go on holding while another bus is waited for.
-            KeepAlive::of_stop(&mut bus).until(is_over).await;
+            KeptAlive::of_stop(&mut bus).until(is_over).await;
             unconfirmed
         })))
     }

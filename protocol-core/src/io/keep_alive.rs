@@ -20,11 +20,13 @@ const LONGEST_REST_OF_SILENT: Duration = Duration::from_millis(100);
 /// A stop that takes no longer than this is over before anybody is asked.
 const SHORT_STOP: Duration = Duration::from_millis(5);
 
-/// A loop that asks motors that were sent nothing for a while, while something else is waited for. Their answers are
-/// not needed, but a run time shows the master whether a motor has restarted, and no motor sends it as a report (0xB6).
-pub(super) struct KeepAlive<'a, R: ?Sized> {
-    runner: &'a mut R,
-    motors: MotorSet,
+/// Questions to motors that were sent nothing for a while, put by a loop that waits for something else: otherwise their
+/// communication-loss protection (0xB3) would let their loads go. Their answers are not needed, but a run time shows
+/// the master whether a motor has restarted, and no motor sends it as a report (0xB6).
+///
+/// The functions of this crate that wait do this. It is public for loops that wait for a stop in their own way.
+#[derive(Clone, Copy, Debug)]
+pub struct KeepAlive {
     /// The motors that have a question.
     asked: MotorSet,
     /// None is asked until then: a stop has just begun, or the bus carries nothing.
@@ -33,11 +35,70 @@ pub(super) struct KeepAlive<'a, R: ?Sized> {
     is_stopping: bool,
 }
 
-impl<'a, R: ?Sized> KeepAlive<'a, R> {
+impl KeepAlive {
+    const NEW: Self =
+        Self { asked: MotorSet::EMPTY, rests_until: Instant::ZERO, is_stopping: false };
+
+    /// For the time in which a stop waits that was called now. A stop that is soon over leaves no motor busy: nobody is
+    /// asked in its first 5 ms.
+    pub fn of_stop(now: Instant) -> Self {
+        Self { rests_until: now + SHORT_STOP, is_stopping: true, ..Self::NEW }
+    }
+
+    /// Asks those of these motors that were sent nothing for 20 ms, or for 100 ms if they are silent. On RS485, asks one
+    /// at a time, and none while anything else but a stop waits for the line: a load may fall that is to be looked at.
+    pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
+        let most = match master.config().is_rs485() {
+            _ if now < self.rests_until => 0,
+            true if master.sends_more_than_stops(now) => 0,
+            true => 1,
+            false => N,
+        };
+        let once = match self.is_stopping {
+            true => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
+            false => master.patience(1),
+        };
+        while self.asked.len() < most {
+            let resting = master.longest_resting(motors, now, LONGEST_REST, LONGEST_REST_OF_SILENT);
+            let Some(motor) = resting else { return };
+            if master.put_request(motor, &ReadRunTime, Some(once)).is_err() {
+                return;
+            }
+            self.asked.insert(motor);
+        }
+    }
+
+    /// Whether this is the outcome of one of its questions, and so for nobody else. A motor that has one takes no other
+    /// request.
+    pub fn takes(&mut self, event: &Event, now: Instant) -> bool {
+        let (Event::Reply { ticket, .. } | Event::Failed { ticket, .. }) = event else {
+            return false;
+        };
+        let is_asked = self.asked.contains(ticket.motor());
+        self.asked.remove(ticket.motor());
+        if let Event::Failed { failure: Failure::BusDown, .. } = event {
+            self.rest(now);
+        }
+        is_asked
+    }
+
+    /// The bus carries nothing.
+    fn rest(&mut self, now: Instant) {
+        self.rests_until = now + LONGEST_REST;
+    }
+}
+
+/// A loop that [keeps motors alive](KeepAlive) while something else is waited for.
+pub(super) struct KeptAlive<'a, R: ?Sized> {
+    runner: &'a mut R,
+    motors: MotorSet,
+    questions: KeepAlive,
+}
+
+impl<'a, R: ?Sized> KeptAlive<'a, R> {
     /// Asks these motors.
     pub(super) fn new(runner: &'a mut R, motors: MotorSet) -> Self {
-        let (asked, rests_until) = (MotorSet::EMPTY, Instant::ZERO);
-        Self { runner, motors, asked, rests_until, is_stopping: false }
+        Self { runner, motors, questions: KeepAlive::NEW }
     }
 
     /// Asks all motors while a stop waits.
@@ -45,9 +106,8 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
     where
         R: AsyncRunner<N>,
     {
-        let rests_until = runner.now() + SHORT_STOP;
-        let all = Self::new(runner, MotorSet::ALL);
-        Self { rests_until, is_stopping: true, ..all }
+        let questions = KeepAlive::of_stop(runner.now());
+        Self { runner, motors: MotorSet::ALL, questions }
     }
 
     /// Does this work. Then waits for the last answer, so that no motor is left busy.
@@ -59,7 +119,7 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         R: AsyncRunner<N>,
     {
         let result = work(&mut self).await;
-        while !self.asked.is_empty() {
+        while !self.questions.asked.is_empty() {
             let soon = self.now() + RETRY_AFTER;
             // Not longer than that: a load may fall that is to be looked at, or another bus be stopped.
             match self.runner.run(Some(soon)).await {
@@ -79,11 +139,11 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         let asking = self.during(async |bus| {
             while !is_over() {
                 let now = bus.now();
-                if bus.rests_until <= now {
+                if bus.questions.rests_until <= now {
                     bus.ask(now);
                     // What the bus has is for nobody. After an error it would idle.
                     if bus.run(Some(now)).await.is_err() {
-                        bus.rests_until = now + LONGEST_REST;
+                        bus.questions.rest(now);
                     }
                 }
                 yield_now().await;
@@ -92,47 +152,18 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
         asking.await;
     }
 
-    /// On RS485, asks one at a time, and none while anything else but a stop waits for the line: a load may fall that
-    /// is to be looked at.
     fn ask<const N: usize>(&mut self, now: Instant)
     where
         R: AsyncRunner<N>,
     {
-        let master = self.runner.master();
-        let most = match master.config().is_rs485() {
-            true if master.sends_more_than_stops(now) => 0,
-            true => 1,
-            false => N,
-        };
-        let once = match self.is_stopping {
-            true => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
-            false => master.patience(1),
-        };
-        while self.asked.len() < most {
-            let resting =
-                master.longest_resting(self.motors, now, LONGEST_REST, LONGEST_REST_OF_SILENT);
-            let Some(motor) = resting else { return };
-            if master.put_request(motor, &ReadRunTime, Some(once)).is_err() {
-                return;
-            }
-            self.asked.insert(motor);
-        }
+        self.questions.ask(self.motors, self.runner.master(), now);
     }
 
-    /// Whether a motor has answered its question, or failed to. Until then it takes no other.
     fn takes<const N: usize>(&mut self, event: &Event) -> bool
     where
         R: AsyncRunner<N>,
     {
-        let (Event::Reply { ticket, .. } | Event::Failed { ticket, .. }) = event else {
-            return false;
-        };
-        let is_asked = self.asked.contains(ticket.motor());
-        self.asked.remove(ticket.motor());
-        if let Event::Failed { failure: Failure::BusDown, .. } = event {
-            self.rests_until = self.runner.now() + LONGEST_REST;
-        }
-        is_asked
+        self.questions.takes(event, self.runner.now())
     }
 
     /// An event that the master still has after an error of the bus, which may come back at each look.
@@ -149,7 +180,7 @@ impl<'a, R: ?Sized> KeepAlive<'a, R> {
     }
 }
 
-impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeepAlive<'_, R> {
+impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeptAlive<'_, R> {
     type Error = R::Error;
 
     fn master(&mut self) -> &mut Master<N> {
@@ -163,7 +194,7 @@ impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeepAlive<'_
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, R::Error> {
         loop {
             let now = self.now();
-            if self.rests_until <= now && until.is_none_or(|until| now < until) {
+            if until.is_none_or(|until| now < until) {
                 self.ask(now);
             }
             let soon = now + LONGEST_IDLE;

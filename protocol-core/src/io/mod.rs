@@ -63,6 +63,7 @@ pub use echo::EchoFilter;
 pub use elapsed::Elapsed;
 pub use guard::{Guard, Guards, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
+pub use keep_alive::KeepAlive;
 pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
 pub use serial::SerialMaster;
 pub use watch::{LoopError, Trouble, Watch};

@@ -7,7 +7,7 @@ use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::brake::SPOKEN_TO_EVERY;
 use crate::io::calls::Calls;
-use crate::io::keep_alive::KeepAlive;
+use crate::io::keep_alive::KeptAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::outcome::BringUpError;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
@@ -41,12 +41,12 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     found: &mut MotorSet,
     on_answer: impl FnMut(MotorId, bool),
 ) -> Result<(), CallError<R::Error>> {
-    let all = KeepAlive::new(runner, MotorSet::ALL);
+    let all = KeptAlive::new(runner, MotorSet::ALL);
     all.during(async |bus| look_for(bus, candidates, found, on_answer).await).await
 }
 
 async fn look_for<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut KeepAlive<'_, R>,
+    runner: &mut KeptAlive<'_, R>,
     candidates: MotorSet,
     found: &mut MotorSet,
     mut on_answer: impl FnMut(MotorId, bool),
