@@ -25,6 +25,34 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 /// the master whether a motor has restarted, and no motor sends it as a report (0xB6).
 ///
 /// The functions of this crate that wait do this. It is public for loops that wait for a stop in their own way.
+///
+/// ```
+/// use myactuator_protocol_core::io::{KeepAlive, Runner};
+/// use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
+///
+/// /// Stops all motors. Returns those that have not confirmed it: cut their power.
+/// fn stop<R: Runner<8>>(bus: &mut R) -> Result<MotorSet, R::Error> {
+///     // Nobody was named for whom there is no place.
+///     let _ = bus.master().stop_all(StopKind::Hold, MotorSet::EMPTY);
+///     let (mut stopping, mut unconfirmed) = (bus.master().motors(), MotorSet::EMPTY);
+///     let begun = bus.now();
+///     let mut keep_alive = KeepAlive::of_stop(begun);
+///     while !stopping.is_empty() && bus.now() - begun < myactuator_protocol_core::io::LONGEST_STOP {
+///         let now = bus.now();
+///         keep_alive.ask(MotorSet::ALL, bus.master(), now);
+///         match bus.poll()? {
+///             Some(event) if keep_alive.takes(&event, now) => {}
+///             Some(Event::StopConfirmed { motor }) => stopping.remove(motor),
+///             Some(Event::StopUnconfirmed { motor }) => {
+///                 stopping.remove(motor);
+///                 unconfirmed.insert(motor);
+///             }
+///             _ => {}
+///         }
+///     }
+///     Ok(unconfirmed.with(stopping))
+/// }
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct KeepAlive {
     /// The motors that have a question.

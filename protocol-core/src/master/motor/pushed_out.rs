@@ -71,10 +71,8 @@ impl Motor {
         let is_newest = self.stream.was_pushed_out();
         if !is_newest {
             self.health.superseded = self.health.superseded.saturating_add(1);
-        } else if self.last_sent.contains(LastSent::IS_OLD)
-            || self.request.under_way().is_some_and(Asked::ends_motion)
-        {
-            // It is stale: what ends motion was requested since, a restart was noticed, or its caller has left.
+        } else if self.last_sent.contains(LastSent::IS_OLD) {
+            // It is stale: what ends motion was put since, a restart was noticed, or its caller has left.
             self.drop_waiting_set_point();
         }
     }

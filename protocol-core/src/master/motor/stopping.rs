@@ -114,7 +114,7 @@ impl Motor {
         if self.stop_sent == StopSent::UnderWay {
             self.stop_sent = StopSent::Earlier;
         }
-        self.drop_waiting_set_point();
+        self.end_stream();
         if stop.purpose != Purpose::StopAgain {
             // What became of an earlier stop says nothing about this one.
             self.news.remove(News::UNCONFIRMED);

@@ -618,3 +618,19 @@ fn handed_back_release_of_a_brake_after_a_restart_is_sent_again() {
     master.handle_pushed_out(&released[0]);
     assert_eq!(sent(&mut master, ms(3)), released);
 }
+
+/// The stop is put between the set-point and its return, and not sent yet.
+#[test]
+fn set_point_handed_back_before_a_stop_is_sent_does_not_follow_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let set_point = sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    master.handle_pushed_out(&set_point[0]);
+    master.lift_stop();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, Stop.encode())]);
+    assert_eq!(events(&mut master, ms(1)), [Event::SetPointDropped { motor: id(1) }]);
+    let confirmed = reply(&mut master, 1, Stop.encode(), ms(2));
+    assert_eq!(confirmed, Some(Event::StopConfirmed { motor: id(1) }));
+    assert_eq!(sent(&mut master, ms(3)), []);
+}
