@@ -56,6 +56,15 @@ impl<E> Drop for Opening<'_, E> {
     }
 }
 
+/// A function that works with one motor and waits for the bus. Until this is dropped the thread speaks to all motors.
+pub(super) struct AtWork<'a, E>(&'a Desk<E>);
+
+impl<E> Drop for AtWork<'_, E> {
+    fn drop(&mut self) {
+        self.0.lock().at_work -= 1;
+    }
+}
+
 impl<E> Desk<E> {
     pub(super) fn new(wake: Option<Wake>) -> Self {
         Self { state: Mutex::new(State::new()), changed: Condvar::new(), wake }
@@ -175,6 +184,11 @@ impl<E> Desk<E> {
         let is_free = !state.moving.contains(motor);
         state.moving.insert(motor);
         is_free.then(|| Moving { desk: self, motor })
+    }
+
+    pub(super) fn begin_work(&self) -> AtWork<'_, E> {
+        self.lock().at_work += 1;
+        AtWork(self)
     }
 
     /// A call is going to open this motor's brake.
@@ -319,6 +333,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
+        clerk.keep_alive(state.at_work > 0);
         matches!(state.life, Life::Running)
     }
 

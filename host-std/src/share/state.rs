@@ -90,6 +90,8 @@ pub(super) struct State<E> {
     pub(super) moving: MotorSet,
     /// How many calls open each motor's brake and have not told the motor to hold yet.
     pub(super) opening: [u32; MotorId::COUNT],
+    /// How many functions that work with one motor wait for the bus.
+    pub(super) at_work: u32,
     /// The error of the bus's last round, if that failed.
     pub(super) outage: Option<Arc<E>>,
     /// An error that no caller has got yet.
@@ -134,6 +136,9 @@ pub(super) trait Clerk<E> {
 
     /// Puts a question.
     fn put(&mut self, question: Question<E>) -> Put<E>;
+
+    /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus.
+    fn keep_alive(&mut self, is_any_at_work: bool);
 }
 
 impl<E> State<E> {
@@ -150,6 +155,7 @@ impl<E> State<E> {
             restarted: MotorSet::EMPTY,
             moving: MotorSet::EMPTY,
             opening: [0; MotorId::COUNT],
+            at_work: 0,
             outage: None,
             error: None,
             subscribers: Vec::new(),

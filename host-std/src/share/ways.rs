@@ -122,7 +122,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Sets after how long without a command a motor stops on its own (0xB3), as
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. A command of any thread counts.
-    /// But while a function here waits, only other threads speak to the other motors; a stop asks them itself.
+    /// While a function here waits, the bus asks the other motors.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -185,6 +185,7 @@ impl<'a, E: fmt::Debug + Send + Sync + 'static> Way<'a, E> {
     /// Waits until the clock of the bus has reached `earliest`; returns its time.
     fn time_at(&mut self, earliest: Instant) -> Result<Instant, SharedBusError<E>> {
         let desk = self.bus.desk();
+        let _at_work = desk.begin_work();
         self.now = desk.wait(desk.wait_until(earliest))?;
         Ok(self.now)
     }
@@ -216,7 +217,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
             // It would wait for itself.
             self.opening = None;
         }
+        let at_work = self.bus.desk().begin_work();
         let reply = self.bus.put(motor, &command, insistence, Some(self.since));
+        drop(at_work);
         // It may have been sent, whatever the outcome.
         if ends_motion && !matches!(reply, Err(SharedBusError::Refused { .. })) {
             self.since.note_own_end();
@@ -416,7 +419,7 @@ mod tests {
         assert!(reported.any(|event| event == Event::Restarted { motor: id(1) }));
         bus.lift_stop().unwrap();
         assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "until it is resumed");
-        assert!(stands(&bus, id(1)));
+        bus.wait_until_stands(id(1), Duration::from_secs(1)).unwrap();
     }
 
     #[test]
@@ -536,6 +539,16 @@ mod tests {
         bus.ask(id(1), ReadModel).unwrap();
     }
 
+    /// A restart takes more than a second.
+    #[test]
+    fn others_hold_while_a_motor_is_restarted() {
+        let (fleet, bus) = shared_fleet(&Fleet::new(2).brakes(true));
+        bus.release_brake(id(2)).unwrap();
+        bus.protect(id(2), Milliseconds::from_raw(400)).unwrap();
+        bus.restart(id(1)).unwrap();
+        assert!(fleet.drives[1].with(|drive| drive.state()).output_on);
+    }
+
     /// A bus that tells this when a frame with this byte was sent, and when it is answered.
     struct Tells<F>(CanPort, u8, F);
 
@@ -586,7 +599,8 @@ mod tests {
         assert!(bus.release_brake(id(1)).is_err());
         switching_off.join().unwrap();
         let sent = sent(&log);
-        let mut off = sent.iter().skip_while(|&&byte| byte != 0x80);
+        // While the thread of the release is away, the clock goes on, and the motor is kept alive.
+        let mut off = sent.iter().filter(|&&byte| byte != 0xB1).skip_while(|&&byte| byte != 0x80);
         // At once, not after all the looks while the brake opens.
         assert!(off.by_ref().take(6).any(|&byte| byte == 0x78), "{byte:02X} {moment}: {sent:02X?}");
     }

@@ -82,7 +82,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// While a stop waits for one motor, the others are asked.
+    /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs, which
+    /// may hang.
     keep_alive: Option<KeepAlive>,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
@@ -123,9 +124,6 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let goes_on = desk.take(self);
         self.taken_at = taken_at;
         self.looked_at = self.runner.now();
-        if let Some(keep_alive) = &mut self.keep_alive {
-            keep_alive.ask(MotorSet::ALL, self.runner.master(), self.looked_at);
-        }
         match self.runner.poll() {
             Ok(event) => {
                 if std::mem::take(&mut self.has_failed) {
@@ -219,9 +217,6 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             }
             !is_over
         });
-        if self.stopping.is_empty() {
-            self.keep_alive = None;
-        }
     }
 
     /// Answers the callers whose time has come.
@@ -239,9 +234,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// When something is to be done that no event triggers.
     fn wake_at(&self) -> Option<Instant> {
         let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
-        let of_stops = (!self.stopping.is_empty()).then_some(look_again);
+        let of_others = self.keep_alive.map(|_| look_again);
         let waits = self.waiting.iter().map(|(until, _)| *until);
-        waits.chain(of_stops).chain(self.turn_ends).min()
+        waits.chain(of_others).chain(self.turn_ends).min()
     }
 
     fn idle(&mut self, desk: &Desk<R::Error>) {
@@ -290,8 +285,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
     ) {
-        let (unconfirmed, now) = (also.without(running), self.runner.now());
-        self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
+        let unconfirmed = also.without(running);
         self.stopping.push(Stopping { running, unconfirmed, elapsed: Elapsed::default(), answer });
     }
 }
@@ -327,6 +321,16 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 let _ = master.forget(motor);
             }
         }
+    }
+
+    fn keep_alive(&mut self, is_any_at_work: bool) {
+        if self.stopping.is_empty() && !is_any_at_work {
+            self.keep_alive = None;
+            return;
+        }
+        let now = self.runner.now();
+        let keep_alive = self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
+        keep_alive.ask(MotorSet::ALL, self.runner.master(), now);
     }
 
     fn set_point(

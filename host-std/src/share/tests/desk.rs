@@ -48,6 +48,8 @@ impl Clerk<CanError> for Notes {
         self.looked_at
     }
 
+    fn keep_alive(&mut self, _: bool) {}
+
     fn put(&mut self, question: Question<CanError>) -> Put<CanError> {
         self.noted.push(format!("{}?", question.motor));
         self.bytes.push((question.motor.get(), question.command.encode()[0]));
