@@ -25,13 +25,13 @@ use crate::io::bring_up::{
 use crate::io::runner::LONGEST_TURN;
 use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
-    async_bring_up,
+    SerialMaster, async_bring_up,
 };
 use crate::master::{Config, Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
-use crate::units::{Angle, MaxSpeed, MaxTorque, Milliseconds, ReportInterval};
+use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque, Milliseconds, ReportInterval};
 use crate::wire::can::{self, Received, SimpleFrame};
 
 fn arm() -> (TestCan, CanMaster<TestCan, TestClock, 4>) {
@@ -324,6 +324,37 @@ fn a_motor_is_there_or_is_not() {
     assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
 }
 
+/// Another question to it is under way for longer than that.
+#[test]
+fn wait_until_a_motor_is_there_ends_in_time_though_it_is_busy() {
+    let (_, mut arm) = arm();
+    let patience = Patience { reply_timeout: Duration::from_secs(20), attempts: 1 };
+    let _read = arm.master().request_with(id(9), ReadRunTime, patience).unwrap();
+    let start = arm.now();
+    let gone = bring_up::wait_until_there(&mut arm, id(9), Duration::from_millis(50));
+    let busy = CallError::refused(id(9))(RequestError::Busy);
+    assert_eq!(gone, Err(BringUpError::Call(busy)));
+    let took = arm.now() - start;
+    assert!(took <= LONGEST_TURN + LONGEST_TURN, "{took:?}");
+}
+
+/// A command to all that is over keeps nobody from being asked.
+#[test]
+fn others_on_a_line_are_spoken_to_though_all_were_told_something_before() {
+    let (port, _, mut arm) = on_rs485(SerialMaster::<_, _, 4>::new);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    arm.master().broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    let told = arm.now() + Duration::from_millis(500);
+    arm.run_until(told, |_| {}).unwrap();
+    // Motor 3 turns for as long as it is looked at.
+    let stands = bring_up::wait_until_stands(&mut arm, id(3), Duration::from_millis(200));
+    assert!(matches!(stands, Err(BringUpError::Turns { .. })), "{stands:?}");
+    let written = port.written();
+    let is_asked = |frame: &&[u8]| frame[1] == 1 && frame[3..11] == ReadRunTime.encode();
+    let asked = written.chunks(13).filter(is_asked).count();
+    assert!(asked >= 5, "{asked}");
+}
+
 /// Each further restart would drop a load.
 #[test]
 fn restart_that_the_new_id_does_not_answer_is_sent_once() {
@@ -343,6 +374,19 @@ fn zero_is_not_kept_if_the_angle_reads_otherwise() {
     let zero = bring_up::zero_here(&mut arm, id(1));
     assert!(matches!(zero, Err(BringUpError::ZeroNotKept { .. })), "{zero:?}");
     assert!(is_sent(&bus, Shutdown.encode()), "some keep nothing without that");
+}
+
+/// It runs nothing, and its brake is locked: a load turns it, or somebody.
+#[test]
+fn motor_that_turns_and_runs_nothing_gets_neither_a_zero_nor_another_id() {
+    let is_refused = |way: fn(&mut Saying) -> Result<(), BringUpError<Broken>>| {
+        let mut saying = saying([[0x9A, 50, 30, 0, 0xE5, 0x01, 0, 0], [0x70, 0, 0, 0, 0, 0, 0, 0]]);
+        let speed = CoarseSpeed::from_raw(500);
+        assert_eq!(way(&mut saying), Err(BringUpError::Turns { motor: id(3), speed }));
+        assert!(!is_sent(&saying.0, Shutdown.encode()));
+    };
+    is_refused(|(_, arm)| bring_up::zero_here(arm, id(3)).map(drop));
+    is_refused(|(_, arm)| bring_up::change_id(arm, id(3), id(5)));
 }
 
 /// A bus on which something else is said.

@@ -40,6 +40,37 @@ fn move_of_a_dropped_future_is_not_sent_later() {
     assert!(block_on(arm.ask(id(1), step())).is_ok());
 }
 
+/// Runs the bus for 200 ms without a pause, and gives what happens then.
+fn at_once(clock: &TestClock, arm: &mut Arm) -> std::vec::Vec<Event> {
+    let mut events = std::vec::Vec::new();
+    let until = clock.now() + Duration::from_millis(200);
+    block_on(arm.run_until(until, |event| events.push(event))).unwrap();
+    events
+}
+
+/// The loop goes on at once: no suspension makes the move too old.
+#[test]
+fn move_of_a_dropped_future_is_not_sent_when_the_bus_has_room() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask(id(1), step()), 10).is_none());
+    let events = at_once(&clock, &mut arm);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::Dropped, .. }]), "{events:?}");
+    assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+}
+
+/// The same if it was sent once, and nobody answers.
+#[test]
+fn move_of_a_dropped_future_is_not_retried_when_its_answer_is_due() {
+    let (bus, clock, mut arm) = on_can(Arm::new);
+    let there = AbsolutePosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(1) };
+    let patience = Patience { reply_timeout: Duration::from_millis(20), attempts: 3 };
+    assert!(polls(arm.ask_with(id(9), there, Some(patience), |_| {}), 10).is_none());
+    assert_eq!(bus.sent(), [there.encode()]);
+    let events = at_once(&clock, &mut arm);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::NoReply, .. }]), "{events:?}");
+    assert_eq!(bus.sent().len(), 1);
+}
+
 /// The computer is suspended while the command waits.
 #[test]
 fn move_that_waits_through_a_suspension_is_not_sent() {

@@ -13,8 +13,8 @@ use crate::Data;
 use crate::command::{AbsolutePosition, BrakeCommand, Command, ErrorFlags};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::async_bring_up::{Calls, move_to};
-use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress};
+use crate::io::async_bring_up::{Calls, is_there, move_to, wait_until_stands};
+use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress, WhenStalled};
 use crate::io::{AsyncCanMaster, CallError, CanMaster, Runner};
 use crate::master::{Failure, StopKind};
 use crate::time::{Duration, Instant};
@@ -71,6 +71,30 @@ fn motor_that_runs_nothing_at_its_target_has_not_arrived() {
         let moved = bring_up::move_to(&mut arm, id(1), command, &MoveLimits::default(), go_on);
         let here = MoveFailure::LetGo { at: Angle::from_raw(36_000) };
         assert_eq!(moved.map(drop).map_err(|it| it.why), if let_go { Err(here) } else { Ok(()) });
+    }
+}
+
+/// It may have been held from the start, and its angle flicker.
+#[test]
+fn motor_that_came_nearer_by_no_more_than_the_tolerance_has_met_nothing() {
+    let command =
+        AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(0) };
+    let limits = MoveLimits { when_stalled: WhenStalled::Press, ..MoveLimits::default() };
+    let tolerance = limits.tolerance.raw();
+    for (nearer, has_met) in [(tolerance, false), (tolerance + 1, true)] {
+        let mut is_first = true;
+        let (_, mut arm) = says(move |data| match data[0] {
+            0x92 if core::mem::take(&mut is_first) => {}
+            0x92 => data[4..].copy_from_slice(&(36_000 - nearer).to_le_bytes()),
+            0xB1 => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
+            0x70 => data[7] = 3,
+            _ => {}
+        });
+        let moved = bring_up::move_to(&mut arm, id(1), command, &limits, go_on);
+        match moved.map_err(|it| it.why) {
+            Ok(_) => assert!(has_met, "{nearer}"),
+            Err(why) => assert!(!has_met && matches!(why, MoveFailure::Stalled { .. }), "{why:?}"),
+        }
     }
 }
 
@@ -328,6 +352,15 @@ fn brake_still_reported_locked_after_a_release_is_an_error() {
 struct Handle {
     arm: AsyncCanMaster<TestCan, TestClock, 4>,
     has_restarted: bool,
+    /// Up to then somebody stops the motor again and again, which drops every question.
+    stopped_until: Instant,
+}
+
+impl Handle {
+    fn new() -> Self {
+        let (_, _, arm) = on_can(AsyncCanMaster::new);
+        Self { arm, has_restarted: false, stopped_until: Instant::ZERO }
+    }
 }
 
 impl Calls<4> for Handle {
@@ -347,6 +380,9 @@ impl Calls<4> for Handle {
         command: C,
         attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<Broken>> {
+        if Calls::now(&mut self.arm) < self.stopped_until {
+            return Err(CallError::Failed { motor, failure: Failure::Stopped });
+        }
         self.arm.ask_often(motor, command, attempts).await
     }
 
@@ -372,9 +408,31 @@ impl Calls<4> for Handle {
 /// The motor stands and runs nothing, and has run for no longer than when the move began.
 #[test]
 fn move_through_a_handle_finds_a_restart_by_the_run_time() {
-    let (_, _, arm) = on_can(AsyncCanMaster::new);
-    let mut handle = Handle { arm, has_restarted: false };
+    let mut handle = Handle::new();
     let moved = block_on(move_to(&mut handle, id(1), step(), &MoveLimits::default(), go_on));
     let restarted = CallError::refused(id(1))(RequestError::Restarted);
     assert_eq!(moved.map_err(|it| it.why), Err(restarted.into()));
+}
+
+#[test]
+fn stop_that_comes_meanwhile_does_not_end_the_wait_until_a_motor_stands() {
+    let mut handle = Handle::new();
+    handle.stopped_until = Instant::from_millis(50);
+    let stands = block_on(wait_until_stands(&mut handle, id(1), Duration::from_millis(200)));
+    assert_eq!(stands, Ok(()));
+    // But it has no more time for that.
+    let mut handle = Handle::new();
+    handle.stopped_until = Instant::from_millis(1_000);
+    let stands = block_on(wait_until_stands(&mut handle, id(1), Duration::from_millis(200)));
+    let stopped = CallError::Failed { motor: id(1), failure: Failure::Stopped };
+    assert_eq!(stands, Err(BringUpError::Call(stopped)));
+    let now = Calls::now(&mut handle);
+    assert!(now <= Instant::from_millis(220), "{now:?}");
+}
+
+#[test]
+fn motor_is_asked_through_a_handle_whether_it_is_there() {
+    let mut handle = Handle::new();
+    assert_eq!(block_on(is_there(&mut handle, id(1))), Ok(true));
+    assert_eq!(block_on(is_there(&mut handle, id(9))), Ok(false));
 }

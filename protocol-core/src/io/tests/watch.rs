@@ -102,6 +102,23 @@ fn watch_asks_each_motor_for_errors_and_then_for_run_time() {
     assert_eq!(sent, expected);
 }
 
+/// However many they are.
+#[test]
+fn watch_asks_each_of_three_motors_both_questions_before_any_again() {
+    let watch = Watch::new([id(1), id(2), id(3)].into(), ms(0));
+    let mut bench = Bench { watch, ..Bench::new() };
+    let mut asked = Vec::new();
+    for now in 0..70 {
+        bench.look(ms(now)).unwrap();
+        for (motor, byte) in bench.sent(ms(now)) {
+            asked.push((motor, byte));
+            bench.hear(motor, if byte == 0x9A { HEALTHY } else { RUN_FOR_70_S }, ms(now + 1));
+        }
+    }
+    let expected = [(1, 0x9A), (2, 0x9A), (3, 0x9A), (1, 0xB1), (2, 0xB1), (3, 0xB1), (1, 0x9A)];
+    assert_eq!(asked, expected);
+}
+
 /// An adapter may keep each answer for longer than the time between two questions.
 #[test]
 fn watch_asks_one_question_at_a_time_and_leaves_none_out() {

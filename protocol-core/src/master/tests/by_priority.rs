@@ -409,6 +409,37 @@ fn cyclic_stop_and_cyclic_broadcast_both_get_turns_on_a_full_bus() {
     }
 }
 
+/// Nobody answers what goes to all, so that it could go again at once.
+#[test]
+fn cyclic_stop_and_cyclic_broadcast_without_answers_both_get_turns() {
+    let command = RawCommand::new([0xE3, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Silent, false);
+    for (motors, streams) in [(6, false), (6, true), (12, false), (12, true)] {
+        let (mut master, mut bus) =
+            (Master::<32>::new(Config::CAN), Arbitrating::new(MAILBOXES, motors));
+        let mut others = stream(first(motors).filter(|&motor| motor > id(1)).collect());
+        for slot in 0..8_000 {
+            let now = Instant::from_micros(125 * slot);
+            let carried = bus.carry(slot);
+            bus.answers.retain(|(_, _, data)| *data != ANGLE_REPLY);
+            if let Some((motor, data)) = carried {
+                reply(&mut master, motor.get(), data, now);
+            }
+            if streams {
+                others(&mut master, slot / 8);
+            }
+            master.stop(id(1), StopKind::Off).unwrap();
+            let _active = master.broadcast(command, MotorSet::EMPTY);
+            events(&mut master, now);
+            bus.fill(&mut master, now);
+        }
+        let (to_all, stops) = (bus.to_all, bus.stops_of_first);
+        assert!(
+            to_all >= 40 && stops >= 40,
+            "of {motors}, {streams}: {to_all} and {stops} in a second"
+        );
+    }
+}
+
 /// A frame sent ahead would be pushed out, or would push one out that all then wait for.
 #[test]
 fn a_motor_gets_a_round_less_ahead_for_each_frame_that_could_be_pushed_out() {

@@ -634,3 +634,15 @@ fn set_point_handed_back_before_a_stop_is_sent_does_not_follow_it() {
     assert_eq!(confirmed, Some(Event::StopConfirmed { motor: id(1) }));
     assert_eq!(sent(&mut master, ms(3)), []);
 }
+
+/// No stop has dropped it.
+#[test]
+fn release_of_a_brake_handed_back_after_a_restart_fails_as_dropped() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let release = ask(&mut master, 1, ReleaseBrake, ms(0)).id();
+    master.note_restart(id(1));
+    master.handle_pushed_out(&packet_to(1, ReleaseBrake.encode()));
+    assert_eq!(sent(&mut master, ms(1)), []);
+    let dropped = Event::Failed { ticket: release, failure: Failure::Dropped };
+    assert_eq!(events(&mut master, ms(1)), [Event::Restarted { motor: id(1) }, dropped]);
+}
