@@ -540,3 +540,22 @@ fn stop_after_a_move_to_all_and_a_lost_shutdown_takes_three_answers() {
     }
     assert_eq!(answered, 3, "the one that is owed, one for the mailbox, one that confirms");
 }
+
+/// Nothing shows when a command without a reply has left its mailbox.
+#[test]
+fn stop_right_after_a_restart_is_confirmed_once_that_must_have_arrived() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert_eq!(events(&mut master, ms(0)), []);
+    let _reset = master.request(id(1), Reset).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let stop = [packet_to(1, Stop.encode())];
+    assert_eq!(sent(&mut master, ms(1)), stop);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(3)), None);
+    // The stop was put at 0 ms. Its time-out is 20.4 ms, and the late window 40.8 ms.
+    let again = (4..100).find(|&now| sent(&mut master, ms(now)) == stop);
+    assert_eq!(again, Some(62));
+    let confirmed = reply(&mut master, 1, Stop.encode(), ms(63));
+    assert_eq!(confirmed, Some(Event::StopConfirmed { motor: id(1) }));
+}
