@@ -80,8 +80,7 @@ pub struct Config {
     ///
     /// On CAN the others [wait](crate::master#how-the-bus-is-shared) for a motor that may still be waiting to answer:
     /// until this time is over and the bus shows that no answer waits. On either bus, feedback of a stream counts as
-    /// lost no sooner than this, nor sooner than hardly any of the motor's round trips takes: their mean, and four times
-    /// the mean deviation from it.
+    /// lost no sooner than this, nor sooner than three of the motor's usual round trips.
     pub longest_response: Duration,
     /// How long a reply may still come after its command was given up or, if a stop took its place, after the stop's
     /// time-out. Until then the motor gets no request that would have the same reply, so that the late reply cannot be

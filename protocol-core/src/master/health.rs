@@ -1,6 +1,5 @@
 //! How well a motor answers.
 
-use crate::master::round_trips::Usual;
 use crate::time::{Duration, Instant};
 
 /// Whether a motor is there.
@@ -53,7 +52,7 @@ pub(super) struct Record {
     /// If it was heard at all.
     heard_at: Instant,
     was_heard: bool,
-    usual: Usual,
+    round_trip_us: u32,
     pub(super) answered: u32,
     pub(super) lost: u16,
     pub(super) stray: u16,
@@ -63,7 +62,7 @@ pub(super) struct Record {
 impl Record {
     pub(super) fn health(&self, presence: Presence) -> Health {
         let &Self { answered, lost, stray, superseded, .. } = self;
-        let (last_seen, round_trip) = (self.last_seen(), self.usual.mean());
+        let (last_seen, round_trip) = (self.last_seen(), self.round_trip());
         Health { presence, last_seen, round_trip, answered, lost, stray, superseded }
     }
 
@@ -71,9 +70,8 @@ impl Record {
         self.was_heard.then_some(self.heard_at)
     }
 
-    /// Hardly any of its round trips takes longer; zero if none was measured yet.
-    pub(super) fn longest_round_trip(&self) -> Duration {
-        self.usual.longest(Duration::ZERO)
+    pub(super) fn round_trip(&self) -> Duration {
+        Duration::from_micros(self.round_trip_us.into())
     }
 
     /// Something was heard of it. Returns when it was last heard before.
@@ -87,7 +85,11 @@ impl Record {
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
         self.answered = self.answered.saturating_add(1);
         if let Some(round_trip) = round_trip {
-            self.usual.measured(round_trip.min(LONGEST_ROUND_TRIP));
+            let measured_us = round_trip.min(LONGEST_ROUND_TRIP).as_micros() as u32;
+            self.round_trip_us = match self.round_trip_us {
+                0 => measured_us,
+                average_us => average_us - average_us / 8 + measured_us / 8,
+            };
         }
     }
 

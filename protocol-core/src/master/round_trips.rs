@@ -4,44 +4,14 @@ use crate::master::Config;
 use crate::time::Duration;
 
 /// Even on a steady bus a reply may be this late, because a host has other things to do.
-const GRAIN: Duration = Duration::from_millis(2);
+const GRAIN_US: u32 = 2_000;
 
-/// The mean of round trips and the deviation from it, calculated as in TCP (RFC 6298).
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Usual {
-    mean_us: u32,
-    deviation_us: u32,
-}
-
-impl Usual {
-    #[inline(never)]
-    pub(super) fn measured(&mut self, round_trip: Duration) {
-        let round_trip_us = micros(round_trip);
-        if self.mean_us == 0 {
-            self.mean_us = round_trip_us;
-            self.deviation_us = round_trip_us / 2;
-        } else {
-            let difference = round_trip_us.abs_diff(self.mean_us);
-            self.deviation_us = self.deviation_us - self.deviation_us / 4 + difference / 4;
-            self.mean_us = self.mean_us - self.mean_us / 8 + round_trip_us / 8;
-        }
-    }
-
-    /// Zero if nothing was measured yet.
-    pub(super) fn mean(self) -> Duration {
-        Duration::from_micros(self.mean_us.into())
-    }
-
-    /// Hardly any takes longer: four deviations above the mean, and `grain` at least.
-    pub(super) fn longest(self, grain: Duration) -> Duration {
-        self.mean() + Duration::from_micros(self.deviation_us.into()).times(4).max(grain)
-    }
-}
-
-/// The round trips of all motors, and the time-outs that follow from them.
+/// The mean of the round trips of all motors and the deviation from it, calculated as in TCP (RFC 6298), and the
+/// time-outs that follow from them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RoundTrips {
-    usual: Usual,
+    mean_us: u32,
+    deviation_us: u32,
     /// What is added to the caller's time-outs now.
     pub(super) more: Duration,
 }
@@ -59,21 +29,31 @@ impl RoundTrips {
 
     /// A reply came after its time-out, which is therefore too short.
     pub(super) fn was_too_short(&mut self, config: &mut Config) {
-        let deviation_us = &mut self.usual.deviation_us;
-        *deviation_us = deviation_us.saturating_add(micros(config.reply_timeout) / 4);
+        self.deviation_us = self.deviation_us.saturating_add(micros(config.reply_timeout) / 4);
         self.follow(config);
     }
 
     /// A reply came after this time.
+    #[inline(never)]
     pub(super) fn measured(&mut self, round_trip: Duration, config: &mut Config) {
-        self.usual.measured(round_trip);
+        let round_trip_us = micros(round_trip);
+        if self.mean_us == 0 {
+            self.mean_us = round_trip_us;
+            self.deviation_us = round_trip_us / 2;
+        } else {
+            let difference = round_trip_us.abs_diff(self.mean_us);
+            self.deviation_us = self.deviation_us - self.deviation_us / 4 + difference / 4;
+            self.mean_us = self.mean_us - self.mean_us / 8 + round_trip_us / 8;
+        }
         self.follow(config);
     }
 
     /// Sets the time-outs that follow from what was measured.
     fn follow(&mut self, config: &mut Config) {
         let shortest = config.reply_timeout - self.more;
-        let wanted = self.usual.longest(GRAIN).min(config.longest_reply_timeout);
+        let margin = self.deviation_us.saturating_mul(4).max(GRAIN_US);
+        let wanted = self.mean_us.saturating_add(margin);
+        let wanted = Duration::from_micros(wanted.into()).min(config.longest_reply_timeout);
         self.set(wanted - shortest, config);
     }
 

@@ -65,7 +65,10 @@ fn print_each(
     let mut outcome = Ok(());
     for motor in session.meant(arguments.motors.id)?.iter() {
         match read(&mut session, motor) {
-            Ok(groups) => say(&described(&mut session, motor, groups, arguments.json))?,
+            Ok(groups) => {
+                let lines = described(&mut session, motor, groups, arguments.json);
+                lines.iter().try_for_each(|line| say(line))?;
+            }
             // The other motors are still read.
             Err(Unfinished::Failed(sentence)) => {
                 report("error", sentence);
@@ -77,14 +80,19 @@ fn print_each(
     outcome
 }
 
-/// What was read of a motor: a line each, or one object. Reads of two motors with one id may be of either.
-fn described(session: &mut Session, motor: MotorId, groups: Vec<Group>, as_json: bool) -> String {
+/// The lines about what was read of a motor, or its object. Reads of two motors with one id may be of either.
+fn described(
+    session: &mut Session,
+    motor: MotorId,
+    groups: Vec<Group>,
+    as_json: bool,
+) -> Vec<String> {
     let note = session.note_shared(motor);
     if as_json {
-        return session.json(motor, &groups, note).to_string();
+        return vec![session.json(motor, &groups, note).to_string()];
     }
     let lines = groups.iter().map(|group| format!("  {group}"));
-    iter::once(format!("motor {motor}")).chain(lines).collect::<Vec<_>>().join("\n")
+    iter::once(format!("motor {motor}")).chain(lines).collect()
 }
 
 #[cfg(test)]
@@ -99,7 +107,7 @@ mod tests {
             let session = &mut Session::on(&fleet);
             let groups = how_it_does(session, MotorId::MIN).unwrap();
             let object = described(session, MotorId::MIN, groups, true);
-            serde_json::from_str::<serde_json::Value>(&object).unwrap().get("note").cloned()
+            serde_json::from_str::<serde_json::Value>(&object[0]).unwrap().get("note").cloned()
         };
         let told = "two motors seem to have id 1: connect only one of them";
         assert_eq!(note(Fleet::new(2).all_with_id(MotorId::MIN)), Some(told.into()));

@@ -10,6 +10,9 @@ use crate::master::schedule::Earliest;
 use crate::packet::Channel;
 use crate::time::{Duration, Instant};
 
+/// Feedback that takes this many times longer than usual is lost.
+const USUAL_TIMES: u32 = 3;
+
 /// What the master knows of its bus.
 pub(crate) struct Hearing {
     /// The bus has been quiet: no reply waits for it.
@@ -40,12 +43,12 @@ impl Motor {
     /// lost; RS485, with one exchange at a time, is always quiet. It is not shorter if the usual round trip is unknown,
     /// or if feedback fails to come again and again.
     fn set_point_timeout(&self, config: &Config) -> Duration {
-        let longest = self.health.longest_round_trip();
-        let is_known = longest > Duration::ZERO && !self.is_silent();
+        let usual = self.health.round_trip();
+        let is_known = usual > Duration::ZERO && !self.is_silent();
         if !is_known || !(self.had_its_chance() || config.is_rs485()) {
             return config.reply_timeout;
         }
-        config.longest_response.max(longest).min(config.reply_timeout)
+        config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
     }
 
     pub(crate) fn drop_what_is_too_old(&mut self, now: Instant) {

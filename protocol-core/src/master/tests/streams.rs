@@ -199,8 +199,7 @@ fn feedback_counts_as_lost_soon_only_where_its_usual_time_is_known() {
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
     reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0], ms(1)).unwrap();
-    // Hardly any takes 3 ms: the only one took 1 ms, and half of that counts as the deviation. But not when it stays
-    // away again and again.
+    // Three times as long as usual; but not when it stays away again and again.
     for (at, after) in [(100, 3), (200, 3), (300, 21)] {
         assert_eq!(is_lost_after(&mut master, at), Some(after));
     }
@@ -212,7 +211,7 @@ fn feedback_that_takes_long_is_waited_for_no_longer_than_a_reply() {
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
     reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0], ms(10)).unwrap();
-    // The mean and four deviations would be 30 ms.
+    // Three times as long as usual would be 30 ms.
     assert_eq!(is_lost_after(&mut master, 100), Some(21));
 }
 
@@ -238,21 +237,51 @@ fn feedback_is_not_given_up_while_the_bus_is_busy_with_more_urgent_replies() {
     }
 }
 
+/// Replies on these channels come all the time. Returns after how many microseconds motor 2's feedback is given up.
+fn is_given_up_after(channels: [Channel; 2], first_after: u64) -> Option<u64> {
+    let mut master = stream_to_second();
+    let mut next = channels.into_iter();
+    let (first, rest) = (next.next().unwrap(), next.next().unwrap());
+    let times =
+        core::iter::once((first, first_after)).chain((1..75).map(|it| (rest, 2_140 + 200 * it)));
+    times.into_iter().find_map(|(channel, after)| {
+        let now = Instant::from_micros(100_000 + after);
+        let is_motion = matches!(channel, Channel::MotionReply(_));
+        let data = if is_motion { [1, 0x80, 0, 0, 0, 0, 0, 0] } else { ANGLE_REPLY };
+        master.handle_frame(&Received::Packet(Packet { channel, data }), now);
+        let is_lost = events(&mut master, now) == [Event::SetPointUnanswered { motor: id(2) }];
+        is_lost.then_some(after)
+    })
+}
+
 #[test]
 fn feedback_is_given_up_when_a_less_urgent_reply_has_come() {
-    let mut master = stream_to_second();
-    let mut less_urgent = |micros| {
+    let [first, third] = [1, 3].map(|motor| Channel::Reply(id(motor)));
+    // Three times as long as usual is 3 ms; the first look after that.
+    assert_eq!(is_given_up_after([third, first], 2_136), Some(3_140));
+    assert_eq!(is_given_up_after([Channel::MotionReply(id(1)), first], 2_136), Some(3_140));
+    // A frame takes up to 136 us: this may have begun before the feedback was to be expected, 2 ms after its command.
+    assert_eq!(is_given_up_after([third, first], 2_135), None);
+    assert_eq!(is_given_up_after([first, first], 2_136), None);
+}
+
+#[test]
+fn feedback_of_motion_mode_is_not_given_up_for_a_normal_reply_which_is_more_urgent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for at in [0, 100] {
+        master.set_point(id(1), motion(), ms(at)).unwrap();
+        sent(&mut master, ms(at));
+        if at == 0 {
+            let channel = Channel::MotionReply(id(1));
+            let packet = Packet { channel, data: [1, 0x80, 0, 0, 0, 0, 0, 0] };
+            assert!(master.handle_frame(&Received::Packet(packet), ms(1)).is_some());
+        }
+    }
+    for micros in (100_200..115_000).step_by(200) {
         let now = Instant::from_micros(micros);
-        let motion =
-            Packet { channel: Channel::MotionReply(id(1)), data: [1, 0x80, 0, 0, 0, 0, 0, 0] };
-        master.handle_frame(&crate::wire::can::Received::Packet(motion), now);
-        events(&mut master, now)
-    };
-    // It may have begun before that of motor 2 was to be expected, 2 ms after the command: it takes up to 136 us.
-    assert_eq!(less_urgent(102_135), []);
-    // Hardly any round trip takes 3 ms: the only one took 1 ms, and half of that counts as the deviation.
-    assert_eq!(less_urgent(102_999), []);
-    assert_eq!(less_urgent(103_000), [Event::SetPointUnanswered { motor: id(2) }]);
+        reply(&mut master, 2, ANGLE_REPLY, now).unwrap();
+        assert_eq!(events(&mut master, now), [], "{now}");
+    }
 }
 
 #[test]

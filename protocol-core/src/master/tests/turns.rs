@@ -401,6 +401,42 @@ fn silent_motor_holds_others_up_only_until_it_could_have_answered() {
     assert_eq!(others_are_held_up_at(1), []);
 }
 
+/// Motors 1 to 4 stream beside motor 5, which is not there. For each command to it, whether the others waited.
+fn waits_for_absent_fifth(commands: usize) -> Vec<bool> {
+    let mut master = Master::<8>::new(Config::CAN);
+    let mut waits = Vec::new();
+    for now in (1..).map(ms) {
+        stream_to(&mut master, 1..=5, now);
+        let packets = sent(&mut master, now);
+        let goes = |motor| {
+            packets.iter().any(|packet| packet.channel == Channel::Command(id(motor).into()))
+        };
+        if goes(5) && waits.len() == commands {
+            break;
+        }
+        if goes(5) {
+            waits.push(false);
+        }
+        if goes(1) {
+            feedback_of_all(&mut master, 1..=4, now + Duration::from_micros(990));
+        } else if let Some(waits) = waits.last_mut() {
+            *waits = true;
+        }
+        events(&mut master, now);
+    }
+    waits
+}
+
+/// It may be back, and its answers lose every arbitration.
+#[test]
+fn others_wait_for_the_first_three_answers_of_a_silent_motor_and_for_every_eighth_for_ever() {
+    // The count of unanswered commands goes on at 3 after 255.
+    let unanswered = (0..3).chain((3..=255).cycle());
+    let expected = unanswered.map(|count| count < 3 || count % 8 == 0);
+    let waits = waits_for_absent_fifth(600);
+    assert_eq!(waits, expected.take(600).collect::<Vec<_>>());
+}
+
 /// Motor 2 has answered once, and motor 1 has had this many turns since. Also what time it is.
 fn with_one_that_rested(turns: u32) -> (Master<2>, Instant) {
     let mut master = Master::<2>::new(Config::CAN);
