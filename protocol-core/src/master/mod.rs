@@ -107,7 +107,8 @@
 //!   mailboxes. Otherwise the motor of a frame that was handed back would keep all others waiting.
 //!
 //! Nobody waits any more for a reply that must have come by now: the bus was quiet for the time of three frames, or has
-//! carried a reply that would have lost the arbitration against it. So a silent motor costs the others the time of its
+//! carried a reply that would have lost the arbitration against it. Where replies come in bursts, because an adapter
+//! holds them back or the host looks seldom, this counts only behind a pause as long as those between the bursts. So a silent motor costs the others the time of its
 //! own commands on the bus. Only if its id is higher than theirs, and they never leave the bus quiet, do they also wait
 //! for its reply: at its first three commands without an answer, and at every eighth from then on, for it may be back.
 //!
@@ -121,6 +122,7 @@
 
 mod arbitration;
 mod broadcast;
+mod bursts;
 mod config;
 mod event;
 mod health;
@@ -155,6 +157,7 @@ use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use arbitration::LastReply;
 use broadcast::Broadcast;
+use bursts::Bursts;
 use motor::deadlines::Hearing;
 use motor::{Motor, News, is_before};
 use places::Places;
@@ -264,6 +267,8 @@ pub struct Master<const N: usize> {
     heard_at: Instant,
     /// Used on CAN only.
     last_reply: LastReply,
+    /// Used on CAN only.
+    bursts: Bursts,
 }
 
 impl<const N: usize> Master<N> {
@@ -302,6 +307,7 @@ impl<const N: usize> Master<N> {
             busy_until: Instant::ZERO,
             heard_at: Instant::ZERO,
             last_reply: LastReply::NONE,
+            bursts: Bursts::default(),
         }
     }
 

@@ -62,9 +62,9 @@ struct Case(Kind, Controller, Looking, f32, [f64; 2]);
 /// - Mailboxes by priority with such a host: after a short pause frames of the last look are still pending, and
 ///   commands with lower ids would push them out. So fewer commands go then, although the wire may be free sooner. All
 ///   commands of a look go in the order of the ids, so the last motor of three is slower anyway.
-/// - A set-point whose feedback is lost is waited for until a less urgent reply has come, and at least for
-///   `Config::longest_response`, which is longer than a cycle of up to eight motors. For the motor of the highest id
-///   there is no such reply: the other motors get two rounds ahead of it, and wait until the bus was quiet.
+/// - A set-point whose feedback is lost is waited for until a less urgent reply has come, and for three usual round
+///   trips. For the motor of the highest id there is no such reply: the other motors get two rounds ahead of it, and
+///   wait until the bus was quiet.
 /// - A request that is lost: see the crate's documentation.
 const CASES: [Case; 20] = {
     use Controller::{ByPriority, Fifo, InOrder};
@@ -78,20 +78,20 @@ const CASES: [Case; 20] = {
         Case(Motion, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
         Case(Motion, InOrder, NowAndThen, 0.0, [1.06, 1.06]),
         Case(Motion, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
-        Case(Motion, Fifo, AtOnce, LOSS, [1.08, 1.09]),
-        Case(Motion, InOrder, AtOnce, LOSS, [1.08, 1.09]),
-        Case(Motion, ByPriority, AtOnce, LOSS, [1.08, 1.09]),
-        Case(Motion, Fifo, NowAndThen, LOSS, [1.13, 1.14]),
-        Case(Motion, InOrder, NowAndThen, LOSS, [1.08, 1.13]),
-        Case(Motion, ByPriority, NowAndThen, LOSS, [1.09, 1.11]),
+        Case(Motion, Fifo, AtOnce, LOSS, [1.09, 1.10]),
+        Case(Motion, InOrder, AtOnce, LOSS, [1.09, 1.10]),
+        Case(Motion, ByPriority, AtOnce, LOSS, [1.09, 1.10]),
+        Case(Motion, Fifo, NowAndThen, LOSS, [1.11, 1.21]),
+        Case(Motion, InOrder, NowAndThen, LOSS, [1.09, 1.13]),
+        Case(Motion, ByPriority, NowAndThen, LOSS, [1.12, 1.14]),
         Case(Feedback, Fifo, AtOnce, 0.0, BUDGET),
         Case(Feedback, ByPriority, AtOnce, 0.0, BUDGET),
         Case(Feedback, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
         Case(Feedback, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
         Case(Feedback, Fifo, AtOnce, LOSS, [2.48, 2.66]),
         Case(Feedback, ByPriority, AtOnce, LOSS, [2.35, 3.07]),
-        Case(Feedback, Fifo, NowAndThen, LOSS, [2.01, 2.41]),
-        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.03, 2.25]),
+        Case(Feedback, Fifo, NowAndThen, LOSS, [1.96, 2.21]),
+        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.12, 2.32]),
     ]
 };
 

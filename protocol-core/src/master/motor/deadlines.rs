@@ -64,7 +64,7 @@ impl Motor {
         let came_instead = |id| {
             let is_motion = self.stream.in_flight().is_some_and(|it| it.question.kind.is_motion());
             let reply = if is_motion { Channel::MotionReply(id) } else { Channel::Reply(id) };
-            heard.last_reply.came_instead_of(reply, ready + config.frame_time)
+            heard.last_reply.came_instead_of(reply, ready)
         };
         now >= ready
             && (heard.is_quiet
