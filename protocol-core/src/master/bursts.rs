@@ -14,14 +14,14 @@ pub(super) struct Bursts {
 impl Bursts {
     /// A frame has come, so long after the last one and after so long a silence of the bus. On the wire no two frames
     /// follow each other within half of the longest one's time.
-    #[inline(never)]
+    #[inline]
     pub(super) fn frame_has_come(
         &mut self,
         after: Duration,
         silence: Duration,
         longest_frame: Duration,
     ) {
-        if after.times(2) < longest_frame {
+        if after + after < longest_frame {
             self.pause = self.pause.max(self.before);
         } else {
             self.before = silence;

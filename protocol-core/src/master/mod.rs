@@ -332,7 +332,6 @@ impl<const N: usize> Master<N> {
         if now >= self.due {
             let heard = Hearing {
                 is_quiet: self.quiet_at() <= now,
-                pace: self.pace,
                 at: self.heard_at_least(),
                 last_reply: self.last_reply,
             };

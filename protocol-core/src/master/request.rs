@@ -167,9 +167,13 @@ impl Request {
         }
     }
 
-    /// What a reply may answer: what is in flight, or was sent and waits to be sent again.
+    /// What a reply may answer: what is in flight, or a stop that was sent and waits to be sent again.
     pub(super) fn answerable(&self) -> Option<&Asked> {
-        self.in_flight().or(self.waiting().filter(|asked| asked.unanswered > 0))
+        match self {
+            Self::InFlight(asked) => Some(asked),
+            Self::Waiting(asked) if asked.is_stop() && asked.unanswered > 0 => Some(asked),
+            _ => None,
+        }
     }
 
     /// What is waiting or in flight.

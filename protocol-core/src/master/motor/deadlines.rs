@@ -17,7 +17,6 @@ const USUAL_TIMES: u32 = 3;
 pub(crate) struct Hearing {
     /// The bus has been quiet: no reply waits for it.
     pub(crate) is_quiet: bool,
-    pub(crate) pace: u32,
     /// When anything was last heard.
     pub(crate) at: Instant,
     pub(crate) last_reply: LastReply,
@@ -99,7 +98,6 @@ impl Motor {
             self.note_bus_may_be_cut(now, config);
         }
         if asked.may_go_again() {
-            self.join_with(0, heard.pace);
             self.request = Request::Waiting(asked);
             return;
         }

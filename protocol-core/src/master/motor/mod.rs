@@ -238,11 +238,7 @@ impl Motor {
     /// frames were handed back, keeps a claim, but only to a few turns: it may itself be what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
         let waits = self.is_waiting() || self.is_in_flight();
-        self.join_with(if waits { LONGEST_CLAIM } else { LONGEST_LEAD }, pace);
-    }
-
-    /// Puts it at most this many rounds behind the others.
-    pub(super) fn join_with(&mut self, claim: u32, pace: u32) {
+        let claim = if waits { LONGEST_CLAIM } else { LONGEST_LEAD };
         // A motor that was stopped again and again may be further ahead: it is put back.
         let latest = pace.wrapping_add(LONGEST_LEAD);
         if is_before(latest, self.round) {

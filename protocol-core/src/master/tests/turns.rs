@@ -395,10 +395,11 @@ fn others_are_held_up_at(silent: u8) -> Vec<u64> {
 
 #[test]
 fn silent_motor_holds_others_up_only_until_it_could_have_answered() {
-    // Its three attempts are sent at 0, 21 and 42 ms. Each time the others may be two commands ahead of it.
-    assert_eq!(others_are_held_up_at(5), [3, 24, 45]);
-    // Its answer would come before theirs.
-    assert_eq!(others_are_held_up_at(1), []);
+    // At first they get two commands ahead of it. After a time-out, at 21 and 42 ms, they wait at once, for it had no
+    // turn meanwhile.
+    assert_eq!(others_are_held_up_at(5), [3, 21, 22, 42, 43]);
+    // The answer of motor 1 would come before theirs.
+    assert_eq!(others_are_held_up_at(1), [21, 22, 42, 43]);
 }
 
 /// Motors 1 to 4 stream beside motor 5, which is not there. For each command to it, whether the others waited.
