@@ -88,10 +88,10 @@ const CASES: [Case; 20] = {
         Case(Feedback, ByPriority, AtOnce, 0.0, BUDGET),
         Case(Feedback, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
         Case(Feedback, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
-        Case(Feedback, Fifo, AtOnce, LOSS, [2.48, 2.66]),
-        Case(Feedback, ByPriority, AtOnce, LOSS, [2.35, 3.07]),
-        Case(Feedback, Fifo, NowAndThen, LOSS, [1.96, 2.21]),
-        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.12, 2.32]),
+        Case(Feedback, Fifo, AtOnce, LOSS, [2.66, 3.14]),
+        Case(Feedback, ByPriority, AtOnce, LOSS, [2.72, 3.05]),
+        Case(Feedback, Fifo, NowAndThen, LOSS, [2.06, 2.87]),
+        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.01, 2.28]),
     ]
 };
 
