@@ -138,8 +138,8 @@ fn a_silent_motor_among_eight_costs_the_other_seven_hardly_anything() {
     let (all, seven) = (rates(false), rates(true));
     assert_eq!(all, [500; 8]);
     for motor in [0, 1, 3, 4, 5, 6, 7] {
-        // On a bus that is full but for a twentieth, at every eighth command to the silent motor the others wait for its
-        // answer. One of 160 set-points may come too late to be sent.
+        // On a bus that is full but for a twentieth, the others wait for its answer at every eighth command. One of 160
+        // set-points may come too late to be sent.
         assert!(seven[motor] >= 497, "{seven:?}");
     }
     assert_eq!(seven[2], 0);

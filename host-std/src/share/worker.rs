@@ -82,8 +82,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs, which
-    /// may hang.
+    /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
+    /// which may hang.
     keep_alive: Option<KeepAlive>,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,

@@ -186,8 +186,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 ///
 /// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails or somebody else
 /// stops the motor then, the brake may be open all the same. The motor is then [stopped](crate::master::Master::stop)
-/// before this returns, until that is lifted. In any other case no stop of this function is in force. If a stop switches
-/// the motor off while its brake opens, the brake is told to lock at once.
+/// before this returns, until that is lifted. In any other case no stop of this function is in force. If a stop
+/// switches the motor off while its brake opens, the brake is told to lock at once.
 ///
 /// The motor is told to hold when an answer is late, so let
 /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall.

@@ -73,8 +73,8 @@ impl KeepAlive {
         Self { rests_until: now + SHORT_STOP, is_stopping: true, ..Self::NEW }
     }
 
-    /// Asks those of these motors that were sent nothing for 20 ms, or for 100 ms if they are silent. On RS485, asks one
-    /// at a time, and none while anything else but a stop waits for the line: a load may fall that is to be looked at.
+    /// Asks those of these motors that were sent nothing for 20 ms, or for 100 ms if they are silent. On RS485, asks
+    /// one at a time, and none while anything but a stop waits for the line: a load may fall that is to be looked at.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         let most = match master.config().is_rs485() {
             _ if now < self.rests_until => 0,

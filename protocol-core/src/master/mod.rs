@@ -106,11 +106,13 @@
 //! - Where a controller hands frames back, it is one round less for each frame beyond the first that may be in its
 //!   mailboxes. Otherwise the motor of a frame that was handed back would keep all others waiting.
 //!
-//! Nobody waits any more for a reply that must have come by now: the bus was quiet for the time of three frames, or has
-//! carried a reply that would have lost the arbitration against it. Where replies come in bursts, because an adapter
-//! holds them back or the host looks seldom, this counts only behind a pause as long as those between the bursts. So a silent motor costs the others the time of its
-//! own commands on the bus. Only if its id is higher than theirs, and they never leave the bus quiet, do they also wait
-//! for its reply: at its first three commands without an answer, and at every eighth from then on, for it may be back.
+//! Nobody waits any longer for a reply that must have come by now: the bus was quiet for the time of three frames, or
+//! has carried a reply that would have lost the arbitration against it. Where replies come in bursts, because an
+//! adapter holds them back or the host looks seldom, both take longer by the pause between two bursts.
+//!
+//! Once a motor has not answered three commands in a row, the others wait for it at every eighth only: it may be back,
+//! and on a bus that they keep full its replies would lose every arbitration. So on CAN a silent motor costs the others
+//! little more than the time of its own commands on the bus.
 //!
 //! Lost feedback of a stream costs hardly more than its own set-point. The motor's next one goes when the feedback
 //! counts as lost: when nobody waits for it any more, and after [`Config::longest_response`] or, if they are longer,

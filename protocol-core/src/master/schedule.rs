@@ -273,8 +273,8 @@ impl<const N: usize> Master<N> {
         times.into_iter().find(|time| *time > Duration::ZERO).map(|time| self.now + time)
     }
 
-    /// When the bus has been quiet for so long that a reply that only waited for the bus must have come, and was not held
-    /// back. Lost frames also look quiet, but seldom three in a row.
+    /// When the bus has been quiet for so long that a reply that only waited for the bus must have come, and was not
+    /// held back. Lost frames also look quiet, but seldom three in a row.
     pub(super) fn quiet_at(&self) -> Instant {
         self.busy_until + self.config.frame_time.times(3) + self.bursts.pause()
     }

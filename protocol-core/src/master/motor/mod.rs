@@ -284,10 +284,9 @@ impl Motor {
     }
 
     /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
-    /// behind, unless it is silent: then only at every eighth command, since it may be back, and even then on a full bus
-    /// its answers lose every arbitration. They always do if it is to end its motion, or if its frame made way for
-    /// another, so that this does not happen for ever. They never do once its reply
-    /// [had its chance](LastSent::HAD_ITS_CHANCE).
+    /// behind. If it is silent, they do at every eighth command only: it may be back, and on a full bus its answers
+    /// lose every arbitration. They always do if it is to end its motion, or if its frame made way for another, so that this
+    /// does not happen for ever. They never do once its reply [had its chance](LastSent::HAD_ITS_CHANCE).
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
