@@ -243,6 +243,40 @@ fn motor_that_has_confirmed_a_stop_holds_while_a_dead_one_is_waited_for() {
     assert!(events.all(|event| !matches!(event, Event::Reply { .. })));
 }
 
+/// Another thread restarts a motor meanwhile, which takes more than a second.
+#[test]
+fn motor_whose_thread_hangs_is_let_go_by_its_protection_though_a_function_keeps_others_alive() {
+    let (fleet, bus) = shared(3);
+    let has_output = |place: usize| fleet.drives[place].with(|drive| drive.state()).output_on;
+    for motor in [2, 3] {
+        bus.protect(id(motor), Milliseconds::from_raw(300)).unwrap();
+    }
+    bus.ask(id(2), Stop).unwrap();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    bus.set_point(id(3), turn(90.0)).unwrap();
+    // It hangs from here on.
+    bus.restart(id(1)).unwrap();
+    assert!(has_output(1) && !has_output(2));
+}
+
+/// They come when the function that asked is over.
+#[test]
+fn nobody_hears_how_questions_that_keep_motors_alive_have_ended() {
+    let (fleet, bus) = shared(2);
+    bus.ask(id(1), ReadStatus1).unwrap();
+    bus.ask(id(2), ReadStatus1).unwrap();
+    fleet.world.cut(fleet.drives[1].station());
+    let mut events = bus.subscribe(10_000);
+    for _ in 0..10 {
+        bus.wait_until_stands(id(1), Duration::from_secs(60)).unwrap();
+    }
+    thread::sleep(time::Duration::from_millis(100));
+    drop(bus);
+    let of_second =
+        |event| matches!(event, Event::Failed { ticket, .. } if ticket.motor() == id(2));
+    assert!(!events.any(of_second));
+}
+
 #[test]
 fn guard_stops_the_motors_at_its_end_though_another_handle_exists() {
     let (fleet, bus) = shared(1);

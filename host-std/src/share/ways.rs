@@ -122,7 +122,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Sets after how long without a command a motor stops on its own (0xB3), as
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. A command of any thread counts.
-    /// While a function here waits, the bus asks the other motors.
+    /// While a function here waits, the bus asks the other motors, except those that were told to move since they were
+    /// last stopped: whoever moves them may hang.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].

@@ -34,6 +34,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         asked,
         stopping,
         keep_alive: None,
+        moved: MotorSet::EMPTY,
         waiting,
         turn_ends: None,
         taken_at,
@@ -85,6 +86,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
     /// which may hang.
     keep_alive: Option<KeepAlive>,
+    /// Told to move since they were last stopped. Only whoever moves them keeps them alive: it may hang.
+    moved: MotorSet,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
@@ -161,6 +164,13 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             && self.runner.master().has_restarted(motor)
         {
             desk.has_restarted(motor);
+        }
+        match *event {
+            Event::StopConfirmed { motor } => self.moved.remove(motor),
+            Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
+                self.moved.remove(ticket.motor());
+            }
+            _ => {}
         }
         let now = self.runner.now();
         if self.keep_alive.as_mut().is_some_and(|it| it.takes(event, now)) {
@@ -325,12 +335,13 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
 
     fn keep_alive(&mut self, is_any_at_work: bool) {
         if self.stopping.is_empty() && !is_any_at_work {
-            self.keep_alive = None;
+            // What is still to come of its questions is for nobody.
+            self.keep_alive.take_if(|it| !it.is_waiting());
             return;
         }
         let now = self.runner.now();
         let keep_alive = self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
-        keep_alive.ask(MotorSet::ALL, self.runner.master(), now);
+        keep_alive.ask(MotorSet::ALL.without(self.moved), self.runner.master(), now);
     }
 
     fn set_point(
@@ -340,6 +351,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         found_at: Instant,
     ) -> Result<(), RequestError> {
         self.stopped_all = None;
+        self.moved.insert(motor);
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
@@ -368,6 +380,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         };
         match ticket {
             Ok(ticket) => {
+                if command.kind.moves() {
+                    self.moved.insert(motor);
+                }
                 let Question { asker, answer, .. } = question;
                 self.asked.push(Asked { asker, ticket, answer });
                 Put::Accepted

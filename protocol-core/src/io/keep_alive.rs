@@ -110,6 +110,11 @@ impl KeepAlive {
         is_asked
     }
 
+    /// Whether the outcome of a question is still to come.
+    pub fn is_waiting(&self) -> bool {
+        !self.asked.is_empty()
+    }
+
     /// The bus carries nothing.
     fn rest(&mut self, now: Instant) {
         self.rests_until = now + LONGEST_REST;
@@ -147,7 +152,7 @@ impl<'a, R: ?Sized> KeptAlive<'a, R> {
         R: AsyncRunner<N>,
     {
         let result = work(&mut self).await;
-        while !self.questions.asked.is_empty() {
+        while self.questions.is_waiting() {
             let soon = self.now() + RETRY_AFTER;
             // Not longer than that: a load may fall that is to be looked at, or another bus be stopped.
             match self.runner.run(Some(soon)).await {
