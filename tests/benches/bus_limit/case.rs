@@ -88,7 +88,7 @@ const CASES: [Case; 20] = {
         Case(Feedback, ByPriority, AtOnce, 0.0, BUDGET),
         Case(Feedback, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
         Case(Feedback, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
-        Case(Feedback, Fifo, AtOnce, LOSS, [2.66, 3.14]),
+        Case(Feedback, Fifo, AtOnce, LOSS, [2.66, 3.15]),
         Case(Feedback, ByPriority, AtOnce, LOSS, [2.72, 3.05]),
         Case(Feedback, Fifo, NowAndThen, LOSS, [2.06, 2.87]),
         Case(Feedback, ByPriority, NowAndThen, LOSS, [2.01, 2.28]),
