@@ -95,7 +95,7 @@ pub(super) struct Motor {
     pub(super) stop_sent: StopSent,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
-    /// Commands in a row that were not answered in time.
+    /// Commands in a row that were not answered in time; after 255 it goes on at 3.
     misses: u8,
     /// How often in a row it could not be sent a command, because the bus carried nothing.
     unreached: u8,
@@ -285,8 +285,8 @@ impl Motor {
 
     /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
     /// behind. If it is silent, they do at every eighth command only: it may be back, and on a full bus its answers
-    /// lose every arbitration. They always do if it is to end its motion, or if its frame made way for another, so that this
-    /// does not happen for ever. They never do once its reply [had its chance](LastSent::HAD_ITS_CHANCE).
+    /// lose every arbitration. They always do if it is to end its motion, or if its frame made way for another, so that
+    /// this does not happen for ever. They never do once its reply [had its chance](LastSent::HAD_ITS_CHANCE).
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
