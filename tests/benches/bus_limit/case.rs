@@ -80,7 +80,7 @@ const CASES: [Case; 20] = {
         Case(Motion, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
         Case(Motion, Fifo, AtOnce, LOSS, [1.09, 1.10]),
         Case(Motion, InOrder, AtOnce, LOSS, [1.09, 1.10]),
-        Case(Motion, ByPriority, AtOnce, LOSS, [1.09, 1.10]),
+        Case(Motion, ByPriority, AtOnce, LOSS, [1.10, 1.10]),
         Case(Motion, Fifo, NowAndThen, LOSS, [1.11, 1.21]),
         Case(Motion, InOrder, NowAndThen, LOSS, [1.09, 1.13]),
         Case(Motion, ByPriority, NowAndThen, LOSS, [1.12, 1.14]),
