@@ -216,9 +216,9 @@ fn full_bus(motors: u8, make: impl FnOnce(&Rig<CanBus>)) -> (Vec<f64>, f64) {
     (feedback, lost as f64 / SECONDS)
 }
 
-/// Feedback counts as lost once the bus has carried a reply that loses arbitration to it, a little later than its motor
-/// would have had its next turn. For the motor of the highest id no reply shows this: the others get two turns ahead of
-/// it, and wait until the bus was quiet.
+/// The others wait for lost feedback no longer once the bus has carried a reply that loses arbitration to it, and go on.
+/// Its motor waits for three usual round trips. For the motor of the highest id no reply shows this: the others get two
+/// turns ahead of it, and wait until the bus was quiet.
 #[test]
 fn eight_streams_that_lose_5_percent_get_19_of_21_turns_of_a_full_bus() {
     let loses = |lose| {

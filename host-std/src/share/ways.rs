@@ -601,9 +601,10 @@ mod tests {
         switching_off.join().unwrap();
         let sent = sent(&log);
         // While the thread of the release is away, the clock goes on, and the motor is kept alive.
-        let mut off = sent.iter().filter(|&&byte| byte != 0xB1).skip_while(|&&byte| byte != 0x80);
+        let mut since_off =
+            sent.iter().filter(|&&byte| byte != 0xB1).skip_while(|&&byte| byte != 0x80).take(6);
         // At once, not after all the looks while the brake opens.
-        assert!(off.by_ref().take(6).any(|&byte| byte == 0x78), "{byte:02X} {moment}: {sent:02X?}");
+        assert!(since_off.any(|&byte| byte == 0x78), "{byte:02X} {moment}: {sent:02X?}");
     }
 
     #[test]

@@ -27,7 +27,7 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 /// The functions of this crate that wait do this. It is public for loops that wait for a stop in their own way.
 ///
 /// ```
-/// use myactuator_protocol_core::io::{KeepAlive, Runner};
+/// use myactuator_protocol_core::io::{KeepAlive, LONGEST_STOP, Runner};
 /// use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 ///
 /// /// Stops all motors. Returns those that have not confirmed it: cut their power.
@@ -37,7 +37,7 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 ///     let (mut stopping, mut unconfirmed) = (bus.master().motors(), MotorSet::EMPTY);
 ///     let begun = bus.now();
 ///     let mut keep_alive = KeepAlive::of_stop(begun);
-///     while !stopping.is_empty() && bus.now() - begun < myactuator_protocol_core::io::LONGEST_STOP {
+///     while !stopping.is_empty() && bus.now() - begun < LONGEST_STOP {
 ///         let now = bus.now();
 ///         keep_alive.ask(MotorSet::ALL, bus.master(), now);
 ///         match bus.poll()? {

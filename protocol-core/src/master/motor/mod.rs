@@ -72,6 +72,9 @@ bitflags! {
     }
 }
 
+/// A silent motor is waited for once in this many commands.
+const SILENT_ONES_TURN: u8 = 8;
+
 /// How many rounds a motor that waits for its turn may be behind the others.
 const LONGEST_CLAIM: u32 = 4;
 
@@ -291,7 +294,8 @@ impl Motor {
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
         let ends_motion = || self.request.in_flight().is_some_and(Asked::ends_motion);
-        let may_answer = || self.misses < SILENT_AFTER || self.misses % 8 == 0 || ends_motion();
+        let is_its_turn = || self.misses < SILENT_AFTER || self.misses % SILENT_ONES_TURN == 0;
+        let may_answer = || is_its_turn() || ends_motion();
         (makes_way || self.is_behind(round) && may_answer()) && !self.had_its_chance()
     }
 
