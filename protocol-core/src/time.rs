@@ -110,6 +110,14 @@ impl Add<Duration> for Instant {
     }
 }
 
+/// The start of the clock if the span is longer than the time since.
+impl Sub<Duration> for Instant {
+    type Output = Self;
+    fn sub(self, span: Duration) -> Self {
+        Self(self.0.saturating_sub(span.0))
+    }
+}
+
 impl AddAssign<Duration> for Instant {
     fn add_assign(&mut self, span: Duration) {
         *self = *self + span;

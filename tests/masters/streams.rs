@@ -3,12 +3,13 @@
 use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::{StationId, World};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, Presence, StopKind};
+use myactuator_protocol_core::io::{CanMaster, Clock, Runner};
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, Presence, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_tests::rig::{Ledger, Rig, angle, step};
+use myactuator_tests::rig::{Ledger, Rig, angle, put, step};
 use myactuator_tests::values::{id, millis};
 use myactuator_tests::wire::Wire;
 
@@ -186,18 +187,60 @@ fn the_least_urgent_motor_is_heard_again_on_a_full_bus() {
     }
 }
 
+/// A clock of coarse steps.
+struct Stepped<K> {
+    clock: K,
+    step: Duration,
+}
+
+impl<K: Clock> Clock for Stepped<K> {
+    fn now(&self) -> Instant {
+        let steps = (self.clock.now() - Instant::ZERO).as_micros() / self.step.as_micros();
+        Instant::from_micros(steps * self.step.as_micros())
+    }
+
+    fn idle(&self, until: Instant) {
+        // What it shows becomes `until` with a step.
+        let steps = (until - Instant::ZERO).as_micros().div_ceil(self.step.as_micros());
+        self.clock.idle(Instant::from_micros(steps * self.step.as_micros()));
+    }
+}
+
+const FINE: Duration = Duration::from_micros(1);
+
+/// The sum of these rates, if none of them is less than nine tenths of their mean.
+fn equal(rates: &[f64]) -> Option<f64> {
+    let sum = rates.iter().sum::<f64>();
+    let least = 0.9 * sum / rates.len() as f64;
+    rates.iter().all(|rate| *rate >= least).then_some(sum)
+}
+
 /// How often each motor sends feedback in a second on a full bus of this kind, and how much was lost in all: a motor
-/// gets its next set-point when it has answered the last, or when that counts as unanswered.
-fn full_bus(motors: u8, make: impl FnOnce(&Rig<CanBus>)) -> (Vec<f64>, f64) {
+/// gets its next set-point when it has answered the last, or when that counts as unanswered. The master's clock has
+/// such steps.
+fn full_bus(
+    motors: u8,
+    step: Duration,
+    make: impl FnOnce(&World<CanBus>, StationId),
+) -> (Vec<f64>, f64) {
     const SECONDS: f64 = 4.0;
-    let mut rig = Rig::<CanBus>::new(motors, 9);
-    make(&rig);
-    rig.put_all(1);
-    let end = rig.world.now() + Duration::from_micros((SECONDS * 1e6) as u64);
+    let Rig { world, runner, port, ledger, .. } = Rig::<CanBus>::new(motors, 9);
+    let (can, clock) = runner.release();
+    let config = Config {
+        shortest_response: Duration::ZERO,
+        longest_response: Config::CAN.longest_response + step,
+        ..Config::CAN
+    };
+    let mut runner = CanMaster::<_, _, 32>::new(can, Stepped { clock, step }, config);
+    make(&world, port);
+    for motor in MotorId::all().take(motors.into()) {
+        put(&mut runner, motor, 1).expect("there is a place");
+    }
+    let end = world.now() + Duration::from_micros((SECONDS * 1e6) as u64);
     let mut feedback = vec![0.0; motors.into()];
     let mut number = 1;
-    while rig.world.now() < end {
-        let motor = match rig.runner.poll().expect("the bus works") {
+    while world.now() < end {
+        let motor = match runner.poll().expect("the bus works") {
             Some(Event::Feedback { motor, .. }) => {
                 feedback[motor.index()] += 1.0 / SECONDS;
                 motor
@@ -205,14 +248,14 @@ fn full_bus(motors: u8, make: impl FnOnce(&Rig<CanBus>)) -> (Vec<f64>, f64) {
             Some(Event::SetPointUnanswered { motor }) => motor,
             Some(other) => panic!("{other:?}"),
             None => {
-                rig.runner.idle(end);
+                runner.idle(end);
                 continue;
             }
         };
         number += 1;
-        rig.put(motor, number).expect("there is a place");
+        put(&mut runner, motor, number).expect("there is a place");
     }
-    let lost: u64 = rig.ledger.pages().iter().map(|page| page.replies_lost).sum();
+    let lost: u64 = ledger.pages().iter().map(|page| page.replies_lost).sum();
     (feedback, lost as f64 / SECONDS)
 }
 
@@ -223,7 +266,7 @@ fn full_bus(motors: u8, make: impl FnOnce(&Rig<CanBus>)) -> (Vec<f64>, f64) {
 fn eight_streams_that_lose_5_percent_get_19_of_21_turns_of_a_full_bus() {
     let loses = |lose| {
         let faults = FaultPlan { lose, ..FaultPlan::NONE };
-        full_bus(8, |rig| rig.world.set_faults(Direction::ToPorts, faults))
+        full_bus(8, FINE, |world, _| world.set_faults(Direction::ToPorts, faults))
     };
     let (whole, lost) = loses(0.0);
     assert!(whole.iter().all(|rate| *rate >= 520.0) && lost == 0.0, "{whole:?}");
@@ -239,11 +282,28 @@ fn eight_streams_that_lose_5_percent_get_19_of_21_turns_of_a_full_bus() {
 #[test]
 fn motors_behind_an_adapter_that_delivers_every_millisecond_have_equal_turns() {
     for motors in [10, 12, 14, 16, 24, 32] {
-        let (feedback, _) = full_bus(motors, |rig| rig.world.hand_over_every(rig.port, millis(1)));
-        let mean = feedback.iter().sum::<f64>() / f64::from(motors);
+        let (feedback, _) =
+            full_bus(motors, FINE, |world, port| world.hand_over_every(port, millis(1)));
         // The bus carries 4,180 exchanges a second.
-        assert!(mean >= 3_300.0 / f64::from(motors), "{mean} of {motors}");
-        assert!(feedback.iter().all(|rate| *rate >= 0.7 * mean), "{motors}: {feedback:?}");
+        let sum = equal(&feedback);
+        assert!(sum.is_some_and(|sum| sum >= 3_300.0), "{motors}: {feedback:?}");
+    }
+}
+
+/// At each step of its clock a full bus seems to have been quiet.
+#[test]
+fn motors_of_a_master_with_a_coarse_clock_have_equal_turns() {
+    for step in [100, 1_000, 2_000, 4_000].map(Duration::from_micros) {
+        for motors in [10, 12, 16, 32] {
+            let (feedback, _) = full_bus(motors, step, |_, _| {});
+            let sum = equal(&feedback);
+            assert!(sum.is_some_and(|sum| sum >= 4_100.0), "{step}, {motors}: {feedback:?}");
+            // Both at once.
+            let (feedback, _) =
+                full_bus(motors, step, |world, port| world.hand_over_every(port, millis(1)));
+            let sum = equal(&feedback);
+            assert!(sum.is_some_and(|sum| sum >= 3_300.0), "{step}, {motors}: {feedback:?}");
+        }
     }
 }
 

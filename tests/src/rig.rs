@@ -243,6 +243,14 @@ impl<W: Wire> Node<W::Frame> for Teller<W> {
     }
 }
 
+/// Puts a set-point of a stream of speeds.
+pub fn put(runner: &mut impl Runner<32>, motor: MotorId, number: u32) -> Result<(), RequestError> {
+    let max_torque = MaxTorque::from_raw(STREAM_MARK);
+    let speed = SpeedTarget::from_raw(number as i32);
+    let now = runner.now();
+    runner.master().set_point(motor, Speed { max_torque, speed }, now)
+}
+
 /// A bus with light drives, a master and the ledger.
 #[derive(Debug)]
 pub struct Rig<W: Wire> {
@@ -330,10 +338,7 @@ impl<W: Wire> Rig<W> {
 
     /// Puts a set-point of a stream of speeds.
     pub fn put(&mut self, motor: MotorId, number: u32) -> Result<(), RequestError> {
-        let max_torque = MaxTorque::from_raw(STREAM_MARK);
-        let speed = SpeedTarget::from_raw(number as i32);
-        let now = self.runner.now();
-        self.runner.master().set_point(motor, Speed { max_torque, speed }, now)
+        put(&mut self.runner, motor, number)
     }
 
     /// Puts a set-point for every motor.

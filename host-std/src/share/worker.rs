@@ -359,7 +359,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         // Since then the driver may have been busy for long, and the program may have been suspended while it waited.
         let now = self.runner.now();
         let age = Duration::from(since_boot().saturating_sub(laid_at));
-        let laid_at = Instant::ZERO + ((now - Instant::ZERO) - age);
+        let laid_at = now - age;
         self.looked_at.min(laid_at).max(self.taken_at)
     }
 

@@ -7,7 +7,7 @@ use crate::time::Instant;
 ///
 /// On CAN its steps must be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
 /// With a coarser clock answers seem to come sooner than any drive sends them and are strays, so that no motor seems to
-/// answer: set `shortest_response` to 0 for such a clock.
+/// answer: set `shortest_response` to 0 for such a clock, and add a step to `longest_response`.
 ///
 /// ```
 /// use myactuator_protocol_core::io::Clock;

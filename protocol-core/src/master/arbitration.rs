@@ -1,30 +1,28 @@
 //! CAN: what a reply shows about those that have not come.
 
 use crate::packet::Channel;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use crate::wire::can::identifier;
 
 /// The reply that was heard last. It has won the arbitration: no more urgent one was waiting when its frame began.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastReply {
     identifier: u16,
-    heard: Instant,
-    /// Its frame began no longer than this before.
-    takes: Duration,
+    /// Its frame began no sooner.
+    began: Instant,
 }
 
 impl LastReply {
     /// Nothing was heard.
-    pub(super) const NONE: Self =
-        Self { identifier: 0, heard: Instant::ZERO, takes: Duration::ZERO };
+    pub(super) const NONE: Self = Self { identifier: 0, began: Instant::ZERO };
 
-    pub(super) fn new(channel: Channel, heard: Instant, takes: Duration) -> Self {
-        Self { identifier: identifier(channel), heard, takes }
+    pub(super) fn new(channel: Channel, began: Instant) -> Self {
+        Self { identifier: identifier(channel), began }
     }
 
     /// Whether a reply on this channel, if it had been waiting since then, would have come first.
     pub(super) fn came_instead_of(self, channel: Channel, since: Instant) -> bool {
-        identifier(channel) < self.identifier && since + self.takes <= self.heard
+        identifier(channel) < self.identifier && since <= self.began
     }
 }
 
@@ -36,10 +34,9 @@ mod tests {
     #[test]
     fn only_what_loses_arbitration_shows_that_nothing_waited() {
         let [first, second] = [1, 2].map(|id| MotorId::new(id).unwrap());
-        let takes = Duration::from_micros(136);
         // 0x242 loses to 0x241 and wins against 0x501.
-        let last = LastReply::new(Channel::Reply(second), Instant::from_micros(5_136), takes);
         let since = Instant::from_micros(5_000);
+        let last = LastReply::new(Channel::Reply(second), since);
         assert!(last.came_instead_of(Channel::Reply(first), since));
         assert!(!last.came_instead_of(Channel::Reply(second), since));
         assert!(!last.came_instead_of(Channel::MotionReply(first), since));

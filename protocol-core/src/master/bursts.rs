@@ -1,30 +1,27 @@
 //! CAN: how long nothing comes although the bus carries replies, because an adapter holds them back and delivers them
-//! together, or the host looks seldom.
+//! together, the host looks seldom, or the clock goes on in steps.
 
+use crate::master::Config;
 use crate::time::Duration;
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Bursts {
-    /// The silence before the last frame that did not come together with another.
+    /// The pause before the last frame that did not come together with another.
     before: Duration,
-    /// The longest silence before frames that came together. It fades.
+    /// The longest pause before frames that came together. It fades.
     pause: Duration,
 }
 
 impl Bursts {
-    /// A frame has come, so long after the last one and after so long a silence of the bus. On the wire no two frames
-    /// follow each other within half of the longest one's time.
+    /// A frame has come, so long after the last one. On the wire no two frames follow each other within half of the
+    /// longest one's time.
     #[inline]
-    pub(super) fn frame_has_come(
-        &mut self,
-        after: Duration,
-        silence: Duration,
-        longest_frame: Duration,
-    ) {
-        if after + after < longest_frame {
+    pub(super) fn frame_has_come(&mut self, after: Duration, config: &Config) {
+        if after + after < config.frame_time {
             self.pause = self.pause.max(self.before);
         } else {
-            self.before = silence;
+            // After that nothing is expected, or the configuration allows for an adapter that holds frames for longer.
+            self.before = after.min(config.longest_response);
             self.pause = Duration::from_micros(self.pause.as_micros() - self.pause.as_micros() / 4);
         }
     }
@@ -46,18 +43,20 @@ mod tests {
     #[test]
     fn frames_that_come_together_show_that_they_were_held_back() {
         let mut bursts = Bursts::default();
-        let mut comes = |after, silence| {
-            bursts.frame_has_come(us(after), us(silence), us(136));
+        let mut comes = |after| {
+            bursts.frame_has_come(us(after), &Config::CAN);
             bursts.pause()
         };
         // One after the other; 111 bits are the shortest.
-        assert_eq!(comes(2_000, 1_900), Duration::ZERO);
-        assert_eq!(comes(111, 0), Duration::ZERO);
+        assert_eq!(comes(1_900), Duration::ZERO);
+        assert_eq!(comes(111), Duration::ZERO);
         // A millisecond later two at once.
-        assert_eq!(comes(1_000, 900), Duration::ZERO);
-        assert_eq!(comes(67, 0), us(900));
+        assert_eq!(comes(1_000), Duration::ZERO);
+        assert_eq!(comes(67), us(1_000));
         // It fades while they come one by one.
-        assert_eq!([comes(68, 0), comes(500, 400)], [us(675), us(507)]);
-        assert_eq!(comes(0, 0), us(507), "the silence before was shorter");
+        assert_eq!([comes(68), comes(500)], [us(750), us(563)]);
+        assert_eq!(comes(0), us(563), "the pause before was shorter");
+        // No drive takes that long to answer: nothing was asked.
+        assert_eq!([comes(10_000), comes(0)], [us(423), Config::CAN.longest_response]);
     }
 }

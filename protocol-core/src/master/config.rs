@@ -75,8 +75,8 @@ pub struct Config {
     /// If the clock's steps are longer than this, it must be 0. Then none of this applies: an answer within the same
     /// clock step as its command is in time.
     pub shortest_response: Duration,
-    /// How long a reply takes at most when it need not wait for the bus, adapters included. If `reply_timeout` is
-    /// shorter, that counts.
+    /// How long a reply takes at most when it need not wait for the bus, including what adapters and the steps of the
+    /// clock add. If `reply_timeout` is shorter, that counts.
     ///
     /// On CAN the others [wait](crate::master#how-the-bus-is-shared) for a motor that may still be waiting to answer:
     /// until this time is over and the bus shows that no answer waits. On either bus, feedback of a stream counts as

@@ -108,7 +108,8 @@
 //!
 //! Nobody waits any longer for a reply that must have come by now: the bus was quiet for the time of three frames, or
 //! has carried a reply that would have lost the arbitration against it. Where replies come in bursts, because an
-//! adapter holds them back or the host looks seldom, both take longer by the pause between two bursts.
+//! adapter holds them back, the host looks seldom or the clock goes on in steps, both take longer by the pause between
+//! two bursts.
 //!
 //! Once a motor has not answered three commands in a row, the others wait for it at every eighth only: it may be back,
 //! and on a bus that they keep full its replies would lose every arbitration. So on CAN a silent motor costs the others

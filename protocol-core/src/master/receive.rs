@@ -53,14 +53,12 @@ impl<const N: usize> Master<N> {
     /// have been given less time.
     pub(super) fn heard_at_least(&self) -> Instant {
         let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more);
-        Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
+        self.heard_at - more
     }
 
     /// A frame that comes to us has held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
-        // After that nothing is expected, or the configuration allows for an adapter that holds frames for longer.
-        let silence = (now - self.busy_until).min(self.config.longest_response);
-        self.bursts.frame_has_come(now - self.heard_at, silence, self.config.frame_time);
+        self.bursts.frame_has_come(now - self.heard_at, &self.config);
         self.heard_at = now;
         if self.busy_until > now {
             // Only commands that are not answered can be queued. Without this bound a bus that is always full would
@@ -80,8 +78,8 @@ impl<const N: usize> Master<N> {
                 Some(self.lost_master(motor, now))
             }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                let takes = self.config.frame_time + self.bursts.pause();
-                self.last_reply = LastReply::new(packet.channel, now, takes);
+                let began = now - self.config.frame_time - self.bursts.pause();
+                self.last_reply = LastReply::new(packet.channel, began);
                 self.handle_reply(motor, packet)
             }
             Channel::BusId => {

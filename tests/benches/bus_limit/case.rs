@@ -81,7 +81,7 @@ const CASES: [Case; 20] = {
         Case(Motion, Fifo, AtOnce, LOSS, [1.09, 1.10]),
         Case(Motion, InOrder, AtOnce, LOSS, [1.09, 1.10]),
         Case(Motion, ByPriority, AtOnce, LOSS, [1.10, 1.10]),
-        Case(Motion, Fifo, NowAndThen, LOSS, [1.11, 1.21]),
+        Case(Motion, Fifo, NowAndThen, LOSS, [1.12, 1.16]),
         Case(Motion, InOrder, NowAndThen, LOSS, [1.09, 1.13]),
         Case(Motion, ByPriority, NowAndThen, LOSS, [1.12, 1.14]),
         Case(Feedback, Fifo, AtOnce, 0.0, BUDGET),
@@ -90,8 +90,8 @@ const CASES: [Case; 20] = {
         Case(Feedback, ByPriority, NowAndThen, 0.0, [1.10, 1.10]),
         Case(Feedback, Fifo, AtOnce, LOSS, [2.66, 3.15]),
         Case(Feedback, ByPriority, AtOnce, LOSS, [2.72, 3.05]),
-        Case(Feedback, Fifo, NowAndThen, LOSS, [2.06, 2.87]),
-        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.01, 2.28]),
+        Case(Feedback, Fifo, NowAndThen, LOSS, [2.04, 2.49]),
+        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.17, 2.56]),
     ]
 };
 

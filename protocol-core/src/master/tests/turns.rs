@@ -385,7 +385,12 @@ fn others_are_held_up_at(silent: u8) -> Vec<u64> {
         stream_to(&mut master, 2..=4, now);
         let others = sent(&mut master, now).iter().filter(|packet| packet.data[0] == 0xA4).count();
         match others {
-            3 => feedback_of_all(&mut master, 2..=4, now + Duration::from_micros(990)),
+            3 => {
+                for motor in 2..=4 {
+                    let at = now + Duration::from_micros(510 + 120 * u64::from(motor));
+                    feedback_of_all(&mut master, motor..=motor, at);
+                }
+            }
             0 => held_up_at.push(tick),
             _ => panic!("{others} of 3 at {tick} ms"),
         }
@@ -558,7 +563,7 @@ fn motor_is_waited_for_until_the_longest_response_is_over() {
     stream_to(&mut master, 1..=1, at(1_550));
     assert_eq!(sent(&mut master, at(1_550)).len(), 1);
     feedback_of_all(&mut master, 1..=1, at(2_100));
-    reply(&mut master, 3, ANGLE_REPLY, at(2_150)).unwrap();
+    reply(&mut master, 3, ANGLE_REPLY, at(2_220)).unwrap();
     stream_to(&mut master, 1..=1, at(2_600));
     assert_eq!(sent(&mut master, at(2_600)), [], "1.6 ms after its command");
     assert_eq!(sent(&mut master, at(3_000)).len(), 1);
