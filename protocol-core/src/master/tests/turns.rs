@@ -375,6 +375,34 @@ fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
     assert_eq!(sent(&mut master, last + Duration::from_millis(1)).len(), 7);
 }
 
+/// The bus is never quiet, and no reply loses arbitration to that of motor 8.
+#[test]
+fn a_reply_is_waited_for_by_others_for_the_usual_time_out_however_long_its_own_is() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let patience = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
+    let _silent = master.put_request(id(8), &ReadStatus1, Some(patience)).unwrap();
+    stream_to(&mut master, 1..=2, ms(0));
+    assert_eq!(sent(&mut master, ms(0)).len(), 3);
+    let mut streamed_at = Vec::new();
+    for tick in 1..200 {
+        let now = Instant::from_micros(tick * 300);
+        let first = id(1 + (tick % 2) as u8);
+        // The frames of another master.
+        master.handle_frame(&crate::wire::can::Received::Packet(torque(1.0).packet(first)), now);
+        if master.motor(first).is_some_and(|motor| motor.stream.in_flight().is_some()) {
+            feedback_of_all(&mut master, first.get()..=first.get(), now);
+            stream_to(&mut master, first.get()..=first.get(), now);
+        }
+        if !sent(&mut master, now).is_empty() {
+            streamed_at.push(now);
+        }
+    }
+    let pauses = streamed_at.windows(2).filter(|two| two[1] - two[0] > Duration::from_millis(1));
+    let ends: Vec<_> = pauses.map(|two| two[1]).collect();
+    // Two commands ahead, and then none until a look finds the time-out of 20,408 us over.
+    assert_eq!(ends, [Instant::from_micros(20_700)]);
+}
+
 /// At which milliseconds motors 2 to 4 get no set-point, because this one may still be waiting to answer.
 fn others_are_held_up_at(silent: u8) -> Vec<u64> {
     let mut master = Master::<8>::new(Config::CAN);
