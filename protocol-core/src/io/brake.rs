@@ -12,7 +12,7 @@ use crate::io::on_drop::OnDrop;
 use crate::io::outcome::BringUpError;
 use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
 use crate::master::{Failure, StopKind};
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::units::CoarseSpeed;
 
 /// How long a brake takes to open or to lock at most. To open, 50 to 150 ms were seen.
@@ -56,21 +56,40 @@ async fn open<B: Calls<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
     open_and_hold(bus, motor).await?;
-    let (status, holds) = moved(bus, motor, true).await?;
-    let fails = match (status, holds) {
-        (status, _) if has_errors(&status) => BringUpError::Fault { motor, errors: status.errors },
-        (_, Err(stopped)) => stopped.into(),
-        (status, Ok(())) if status.brake != BrakeCommand::RELEASE => {
-            return Err(BringUpError::BrakeNotReleased { motor, says: status.brake });
-        }
-        _ => match turned_by_load(bus, motor, COMES_TO_REST, true).await? {
-            Some(speed) => BringUpError::NotHeld { motor, speed },
-            None => return Ok(()),
-        },
-    };
+    let Some(fails) = fails_to_hold(bus, motor).await? else { return Ok(()) };
     // Only the brake can hold the shaft now. The outcome of this changes nothing.
     let _ = insist(bus, motor, LockBrake).await;
     Err(fails)
+}
+
+/// Gives a brake the time to open. Returns why nothing holds the shaft, as soon as nothing does.
+async fn fails_to_hold<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+) -> Result<Option<BringUpError<B::Error>>, BringUpError<B::Error>> {
+    let end = bus.now() + BRAKE_MOVES;
+    loop {
+        let Status1 { errors, brake: says, .. } = insist(bus, motor, ReadStatus1).await?;
+        let switched_off = match check_not_stopped(bus, motor) {
+            // A stop may hold it as well.
+            Err(stopped) if runs(bus, motor).await == Some(false) => Some(stopped),
+            _ => None,
+        };
+        if !errors.is_empty() {
+            return Ok(Some(BringUpError::Fault { motor, errors }));
+        }
+        if let Some(stopped) = switched_off {
+            return Ok(Some(stopped.into()));
+        }
+        if waits_on(bus, end).await {
+            continue;
+        }
+        if says != BrakeCommand::RELEASE {
+            return Err(BringUpError::BrakeNotReleased { motor, says });
+        }
+        let speed = turned_by_load(bus, motor, COMES_TO_REST, true).await?;
+        return Ok(speed.map(|speed| BringUpError::NotHeld { motor, speed }));
+    }
 }
 
 /// How fast the shaft turns, if a load turns it within this time: at two looks in a row, since a single look may find it
@@ -148,34 +167,14 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Gives a brake the time to open or to lock. Returns the drive's last status. If it `opens`, ends as soon as nothing
-/// holds: the drive reports an error, or a stop has switched the motor off, which is also returned.
-async fn moved<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-    opens: bool,
-) -> Result<(Status1, Result<(), CallError<B::Error>>), CallError<B::Error>> {
-    let end = bus.now() + BRAKE_MOVES;
-    loop {
-        // In silence the communication-loss protection would lock the brake and switch the motor off.
-        let status = insist(bus, motor, ReadStatus1).await?;
-        let holds = if opens { check_not_let_go(bus, motor).await } else { Ok(()) };
-        let now = bus.now();
-        if now >= end || holds.is_err() || opens && has_errors(&status) {
-            return Ok((status, holds));
-        }
+/// Waits until the motor is to be spoken to again: in silence its communication-loss protection would lock the brake
+/// and switch it off. False at `end`.
+async fn waits_on<B: Calls<N>, const N: usize>(bus: &mut B, end: Instant) -> bool {
+    let now = bus.now();
+    if now < end {
         let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
     }
-}
-
-/// Refuses a motor that a stop in force has switched off.
-async fn check_not_let_go<B: Calls<N>, const N: usize>(
-    bus: &mut B,
-    motor: MotorId,
-) -> Result<(), CallError<B::Error>> {
-    let stopped = check_not_stopped(bus, motor);
-    // The stop may hold it.
-    if stopped.is_err() && runs(bus, motor).await == Some(false) { stopped } else { Ok(()) }
+    now < end
 }
 
 /// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been
@@ -260,7 +259,13 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
             return Err(refused.into());
         }
         // It may have heard the command all the same.
-        let says = moved(bus, motor, false).await?.0.brake;
+        let end = bus.now() + BRAKE_MOVES;
+        let says = loop {
+            let says = insist(bus, motor, ReadStatus1).await?.brake;
+            if !waits_on(bus, end).await {
+                break says;
+            }
+        };
         stands_by_itself(bus, motor, held).await?;
         locks += 1;
         match told {
