@@ -87,21 +87,20 @@ async fn fails_to_hold<B: Calls<N>, const N: usize>(
         if says != BrakeCommand::RELEASE {
             return Err(BringUpError::BrakeNotReleased { motor, says });
         }
-        let speed = turned_by_load(bus, motor, COMES_TO_REST, true).await?;
+        let speed = turned_by_load(bus, motor, true).await?;
         return Ok(speed.map(|speed| BringUpError::NotHeld { motor, speed }));
     }
 }
 
-/// How fast the shaft turns, if a load turns it within this time: at two looks in a row, since a single look may find it
-/// swinging. A motor that `holds` may take the time to bring the shaft to rest, and once it rests this ends. It does not
-/// hold if it runs nothing that could or, where it does not say that, draws no current.
+/// How fast the shaft turns, if a load turns it: at two looks in a row, since a single look may find it swinging. A
+/// motor that `holds` may take its time to bring the shaft to rest, and once it rests this ends. It does not hold if it
+/// runs nothing that could or, where it does not say that, draws no current.
 async fn turned_by_load<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
-    time: Duration,
     holds: bool,
 ) -> Result<Option<CoarseSpeed>, CallError<B::Error>> {
-    let end = bus.now() + time;
+    let end = bus.now() + if holds { COMES_TO_REST } else { LOAD_SHOWS };
     let mut turned = false;
     loop {
         let Feedback { speed, current, .. } = insist(bus, motor, ReadStatus2).await?;
@@ -132,13 +131,12 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     let mut told = Ok(());
     for round in 0..RELEASES {
         told = opening.it.ask_often(motor, ReleaseBrake, Some(1)).await.map(drop);
-        let is_unsent = matches!(told, Err(CallError::Refused { .. }));
-        if is_unsent && round == 0 {
+        if let Err(CallError::Refused { .. }) = told {
+            if round > 0 {
+                break;
+            }
             opening.end();
             return told;
-        }
-        if is_unsent {
-            break;
         }
         // Right after the release, answered or not, and whatever the bus reports: the brake may open all the same, and
         // then a load falls. Not before it: behind a locked brake a stop may do nothing.
@@ -284,7 +282,7 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
     motor: MotorId,
     held: bool,
 ) -> Result<(), BringUpError<B::Error>> {
-    let Some(speed) = turned_by_load(bus, motor, LOAD_SHOWS, false).await? else {
+    let Some(speed) = turned_by_load(bus, motor, false).await? else {
         return Ok(());
     };
     let holds = if held { hold_again(bus, motor).await } else { Some(false) };
