@@ -135,24 +135,20 @@ pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
     id: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
     let others = KeptAlive::new(runner, MotorSet::ALL.without(id.into()));
-    others.during(async |bus| Ok(!always_answers_once(bus, id).await?)).await
-}
-
-async fn always_answers_once<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
-    id: MotorId,
-) -> Result<bool, CallError<R::Error>> {
-    for _ in 0..ROUNDS {
-        let is_one = answers_once(runner, id, ReadStatus2).await?
-            && answers_once(runner, id, ReadRunTime).await?
-            && answers_once(runner, id, ReadStatus3).await?
-            && answers_once(runner, id, ReadMultiTurnAngle).await?
-            && answers_once(runner, id, ReadStatus1).await?;
-        if !is_one {
-            return Ok(false);
+    let asking = others.during(async |bus| {
+        for _ in 0..ROUNDS {
+            let is_one = answers_once(bus, id, ReadStatus2).await?
+                && answers_once(bus, id, ReadRunTime).await?
+                && answers_once(bus, id, ReadStatus3).await?
+                && answers_once(bus, id, ReadMultiTurnAngle).await?
+                && answers_once(bus, id, ReadStatus1).await?;
+            if !is_one {
+                return Ok(true);
+            }
         }
-    }
-    Ok(true)
+        Ok(false)
+    });
+    asking.await
 }
 
 /// Whether exactly one readable answer comes.
