@@ -20,11 +20,11 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
 pub use crate::io::brake::BRAKE_MOVES;
-pub use crate::io::move_to::{
-    MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, WhenStalled,
-};
+pub use crate::io::move_to::{MoveCommand, MoveLimits, WhenStalled};
 use crate::io::on_drop::OnDrop;
-pub use crate::io::outcome::{BringUpError, Identity, Protection};
+pub use crate::io::outcome::{
+    BringUpError, Identity, MoveFailure, MoveProgress, NotArrived, Protection,
+};
 use crate::io::polled::Polled;
 use crate::io::runner::Runner;
 pub use crate::io::standing::turns;

@@ -1,17 +1,17 @@
 //! Moves a motor to an angle and watches it until it is there.
 
-use core::fmt;
 use core::ops::ControlFlow;
 
 use crate::command::{
-    AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
-    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadStatus2,
+    AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadRunTime,
+    ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
+use crate::io::outcome::{MoveFailure, MoveProgress, NotArrived};
 use crate::io::restart::has_started_since;
 use crate::io::standing::{runs, turns};
 use crate::master::{Failure, StopKind};
@@ -139,138 +139,6 @@ impl Default for MoveLimits {
         }
     }
 }
-
-/// A look at a motor on its way.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
-pub struct MoveProgress {
-    /// Where the move began.
-    pub from: Angle,
-    /// Where it is to end.
-    pub target: Angle,
-    /// How long the move has taken so far.
-    pub time: Duration,
-    /// Where the motor is.
-    pub angle: Angle,
-    /// Its temperature, torque current and speed.
-    pub feedback: Feedback,
-}
-
-/// Why a motor has not arrived.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
-#[non_exhaustive]
-pub enum MoveFailure<E> {
-    /// A call on the way has no answer.
-    #[error(transparent)]
-    Call(#[from] CallError<E>),
-    /// A relative move ends further away than an angle can be.
-    #[error("from {here} the move ends further than an angle can be")]
-    OutOfRange {
-        /// Where the motor is.
-        here: Angle,
-    },
-    /// The torque limit is 0 % (0xA9). The manual does not say what that does, and for 0xA2 a 0 means no limit. No move
-    /// was sent.
-    #[error("a move with at most 0 % of the torque may be one without a limit: give 1 to 255 %")]
-    NoTorque,
-    /// The drive reports errors.
-    #[error("the drive reports an error ({0})")]
-    Fault(ErrorFlags),
-    /// It came no nearer for a while, and stands.
-    #[error(
-        "it is at {at} and comes no nearer to {target} (a load, a brake, a limit of angle or what it grips already may \
-         hold it, or something else commands it)"
-    )]
-    Stalled {
-        /// Where it is.
-        at: Angle,
-        /// Where it should be.
-        target: Angle,
-    },
-    /// It came no nearer for a while, and does not stand either: a load drives it away, it swings, or something else
-    /// commands it.
-    #[error(
-        "it is at {at}, turns at {speed} and comes no nearer to {target}: a load drives it away, it swings, or something else \
-         commands it"
-    )]
-    Turning {
-        /// Where it is.
-        at: Angle,
-        /// Where it should be.
-        target: Angle,
-        /// How fast it turned last.
-        speed: CoarseSpeed,
-    },
-    /// Its drive runs nothing any more: something else has switched it off, or it heard nothing for longer than its
-    /// protection (0xB3) allows. Its shaft is free unless a brake holds it.
-    #[error(
-        "it is at {at} and runs nothing: it was switched off, or heard nothing for longer than its protection (0xB3) \
-         allows"
-    )]
-    LetGo {
-        /// Where it is.
-        at: Angle,
-    },
-    /// It has not answered the move, or nothing since. It may have moved, in part or all the way: check where it is
-    /// before you send a relative move again.
-    #[error("it was at {at} and does not answer: it may have moved since, in part or all the way")]
-    Silent {
-        /// Where it was last.
-        at: Angle,
-    },
-    /// The time is up.
-    #[error("it is at {at} and not at {target} when its time is up")]
-    TimedOut {
-        /// Where it is.
-        at: Angle,
-        /// Where it should be.
-        target: Angle,
-    },
-    /// `on_look` gave the move up.
-    #[error("the move was given up")]
-    GivenUp,
-    /// Another call is moving the motor, and goes on. This call has sent it nothing, not even a stop. Only handles that
-    /// threads share know of each other's moves.
-    #[error("another move of it is under way and goes on: wait for its end, or stop the motor")]
-    UnderWay,
-}
-
-/// A motor has not arrived, and was told to stop because of that, unless [another move](MoveFailure::UnderWay) has it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
-pub struct NotArrived<E> {
-    /// The motor.
-    pub motor: MotorId,
-    /// Why.
-    pub why: MoveFailure<E>,
-    /// Whether it has confirmed the [stop](MoveLimits::stop). If not, **cut its power**, unless another move [is under
-    /// way](MoveFailure::UnderWay): that one goes on.
-    pub is_stopped: bool,
-}
-
-impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "motor {} has not arrived: ", self.motor)?;
-        match &self.why {
-            // The motor is named already.
-            MoveFailure::Call(CallError::Failed { failure, .. }) => failure.fmt(f)?,
-            MoveFailure::Call(CallError::Refused { refusal, .. }) => refusal.fmt(f)?,
-            why => why.fmt(f)?,
-        }
-        f.write_str(match (&self.why, self.is_stopped) {
-            // Nobody has told it to stop.
-            (MoveFailure::UnderWay, _) => "",
-            (_, true) => "; it has confirmed the stop, which stays in force until it is lifted",
-            (_, false) => "; it has not confirmed the stop: cut its power",
-        })
-    }
-}
-
-impl<E: fmt::Debug> core::error::Error for NotArrived<E> {}
 
 /// As [`bring_up::move_to`](crate::io::bring_up::move_to). If this future is dropped on the way, the stop is in force,
 /// and is the first thing that any other future of the loop sends.
@@ -504,6 +372,7 @@ fn usual_time(from: Angle, to: Angle, max_speed: MaxSpeed) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command::Feedback;
     use crate::units::{CoarseAngle, Current, Temperature};
 
     #[test]
