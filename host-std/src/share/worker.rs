@@ -67,7 +67,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     }
     for stop in stopping {
         let confirmed = stop.running.without(unconfirmed);
-        let _ = stop.answer.send(Ok(stop.running.with(stop.unconfirmed).without(confirmed)));
+        let _ = stop.answer.send(Ok(stop.unconfirmed.without(confirmed)));
     }
     desk.end();
 }
@@ -112,8 +112,10 @@ struct Asked<E> {
 
 /// A stop that a caller waits for.
 struct Stopping<E> {
-    running: MotorSet,
+    /// Those that have not confirmed it so far.
     unconfirmed: MotorSet,
+    /// Those of them that still may.
+    running: MotorSet,
     elapsed: Elapsed,
     answer: Answer<MotorSet, E>,
 }
@@ -197,10 +199,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
                     stop.running.remove(motor);
                     stop.unconfirmed.remove(motor);
                 }
-                Event::StopUnconfirmed { motor } if stop.running.contains(motor) => {
-                    stop.running.remove(motor);
-                    stop.unconfirmed.insert(motor);
-                }
+                Event::StopUnconfirmed { motor } => stop.running.remove(motor),
                 _ => {}
             }
         }
@@ -222,8 +221,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
                 for motor in stop.running.iter() {
                     desk.publish(&Event::StopUnconfirmed { motor });
                 }
-                let unconfirmed = stop.running.iter().chain(stop.unconfirmed.iter()).collect();
-                let _ = stop.answer.send(Ok(unconfirmed));
+                let _ = stop.answer.send(Ok(stop.unconfirmed));
             }
             !is_over
         });
@@ -295,8 +293,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
     ) {
-        let unconfirmed = also.without(running);
-        self.stopping.push(Stopping { running, unconfirmed, elapsed: Elapsed::default(), answer });
+        let unconfirmed = running.with(also);
+        self.stopping.push(Stopping { unconfirmed, running, elapsed: Elapsed::default(), answer });
     }
 }
 
