@@ -26,19 +26,17 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// Runs the bus until the last handle was dropped, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
-    let looked_at = runner.now();
-    let taken_at = looked_at;
-    let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
+    let now = runner.now();
     let mut worker = Worker {
         runner,
-        asked,
-        stopping,
+        asked: Vec::new(),
+        stopping: Vec::new(),
         keep_alive: None,
         moved: MotorSet::EMPTY,
-        waiting,
+        waiting: Vec::new(),
         turn_ends: None,
-        taken_at,
-        looked_at,
+        taken_at: now,
+        looked_at: now,
         has_failed: false,
         stopped_all: None,
     };
