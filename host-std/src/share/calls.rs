@@ -57,15 +57,17 @@ pub(super) struct Waiting<T, E> {
     pub(super) asker: Arc<()>,
 }
 
-/// An answer, or the news that nothing can answer any more.
-pub(super) type Told<T, E> = Result<Result<T, SharedBusError<E>>, RecvTimeoutError>;
-
 impl<T, E> Waiting<T, E> {
-    /// The answer, if it comes within `longest`.
-    pub(super) fn take(&self, longest: Duration) -> Option<Told<T, E>> {
+    /// The answer, if it comes within `longest`. Only a thread that has ended gives none, and it has said why.
+    pub(super) fn take(
+        &self,
+        longest: Duration,
+        last_words: impl FnOnce() -> SharedBusError<E>,
+    ) -> Option<Result<T, SharedBusError<E>>> {
         match self.answered.recv_timeout(longest) {
+            Ok(answer) => Some(answer),
             Err(RecvTimeoutError::Timeout) => None,
-            answer => Some(answer),
+            Err(RecvTimeoutError::Disconnected) => Some(Err(last_words())),
         }
     }
 }

@@ -13,7 +13,7 @@ use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
-use super::calls::{Answer, Awaited, Insistence, Order, Question, Told, Untyped, Waiting};
+use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::{Wake, since_boot};
@@ -248,24 +248,18 @@ impl<E> Desk<E> {
 
     /// Waits for an answer. `None` if the thread's driver holds it.
     fn answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
-        match self.unless_held(|longest| waiting.take(longest)) {
-            Some(answer) => Some(self.told(answer)),
-            None => self.last_answer(waiting),
-        }
+        let last_words = || self.lock().last_words();
+        let answer = self.unless_held(|longest| waiting.take(longest, last_words));
+        answer.or_else(|| self.last_answer(waiting))
     }
 
     fn last_answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
         // An error of the bus that comes now goes to this call or to the next: none is handed out while this is locked.
         let state = self.lock();
-        let last = waiting.take(Duration::ZERO);
+        let last = waiting.take(Duration::ZERO, || state.last_words());
         drop(waiting);
         drop(state);
-        last.map(|answer| self.told(answer))
-    }
-
-    /// Only a thread that has ended gives no answer, and it has said why.
-    fn told<T>(&self, answer: Told<T, E>) -> Result<T, SharedBusError<E>> {
-        answer.unwrap_or_else(|_| Err(self.lock().last_words()))
+        last
     }
 
     /// Waits for the end of the thread. False if its driver holds it.
