@@ -51,7 +51,7 @@ pub(super) struct Opening<'a, E> {
 impl<E> Drop for Opening<'_, E> {
     fn drop(&mut self) {
         let mut state = self.desk.lock();
-        state.opening[self.motor.index()] -= 1;
+        state.slot(self.motor).opening -= 1;
         self.desk.leave(state);
     }
 }
@@ -170,7 +170,7 @@ impl<E> Desk<E> {
 
     /// The past of a motor, as it is when a caller begins to work with it.
     pub(super) fn past(&self, motor: MotorId) -> Past {
-        self.lock().past[motor.index()]
+        self.lock().past(motor)
     }
 
     /// Whether a caller that began at `since` may move a motor now.
@@ -193,7 +193,7 @@ impl<E> Desk<E> {
 
     /// A call is going to open this motor's brake.
     pub(super) fn begin_opening(&self, motor: MotorId) -> Opening<'_, E> {
-        self.lock().opening[motor.index()] += 1;
+        self.lock().slot(motor).opening += 1;
         Opening { desk: self, motor }
     }
 

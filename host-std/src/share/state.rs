@@ -56,11 +56,14 @@ impl Past {
 /// What callers have left for a motor, and may find of it.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
+    pub(super) past: Past,
     /// The newest set-point, until it is taken up.
     pub(super) set_point: Option<LaidDown>,
     /// Why an earlier set-point was refused.
     pub(super) refusal: Option<RequestError>,
     pub(super) latest: Option<Latest>,
+    /// How many calls open its brake and have not told it to hold yet.
+    pub(super) opening: u32,
 }
 
 /// Whether the bus still runs.
@@ -83,13 +86,10 @@ pub(super) struct State<E> {
     stopped: MotorSet,
     /// These were switched off by a stop that is in force: a command that holds does not switch them on.
     switched_off: MotorSet,
-    pub(super) past: [Past; MotorId::COUNT],
     /// These were reported to have restarted, and were not resumed.
     restarted: MotorSet,
     /// These are being moved, each by one call.
     pub(super) moving: MotorSet,
-    /// How many calls open each motor's brake and have not told the motor to hold yet.
-    pub(super) opening: [u32; MotorId::COUNT],
     /// How many functions that work with one motor wait for the bus.
     pub(super) at_work: u32,
     /// The error of the bus's last round, if that failed.
@@ -151,10 +151,8 @@ impl<E> State<E> {
             stops_all: false,
             stopped: MotorSet::EMPTY,
             switched_off: MotorSet::EMPTY,
-            past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             moving: MotorSet::EMPTY,
-            opening: [0; MotorId::COUNT],
             at_work: 0,
             outage: None,
             error: None,
@@ -168,6 +166,11 @@ impl<E> State<E> {
 
     pub(super) fn slot(&mut self, motor: MotorId) -> &mut Slot {
         &mut self.slots[motor.index()]
+    }
+
+    /// The past of a motor until now.
+    pub(super) fn past(&self, motor: MotorId) -> Past {
+        self.slots[motor.index()].past
     }
 
     /// Whether a command of a caller that began at `since` is admitted.
@@ -201,7 +204,7 @@ impl<E> State<E> {
     pub(super) fn note_motion(&mut self, motor: MotorId, kind: Kind) {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
-            self.past[motor.index()].is_let_go = false;
+            self.slot(motor).past.is_let_go = false;
         }
     }
 
@@ -211,12 +214,12 @@ impl<E> State<E> {
     }
 
     fn was_ended_since(&self, motor: MotorId, since: Option<Past>) -> bool {
-        since.is_some_and(|since| since.ended != self.past[motor.index()].ended)
+        since.is_some_and(|since| since.ended != self.past(motor).ended)
     }
 
     /// Whether a motor has restarted and was not resumed, or has restarted since `since`.
     fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
-        let has_since = since.is_some_and(|it| it.restarts != self.past[motor.index()].restarts);
+        let has_since = since.is_some_and(|since| since.restarts != self.past(motor).restarts);
         has_since || self.restarted.contains(motor)
     }
 
@@ -227,7 +230,7 @@ impl<E> State<E> {
         kind: StopKind,
         since: Option<Past>,
     ) -> StopKind {
-        match self.was_ended_since(motor, since) && self.past[motor.index()].is_let_go {
+        match self.was_ended_since(motor, since) && self.past(motor).is_let_go {
             true => StopKind::Off,
             false => kind,
         }
@@ -245,7 +248,7 @@ impl<E> State<E> {
     /// Whether a question waits until a motor whose brake opens has been told to hold: its answer, if it is late, would
     /// keep that from being sent while the load falls.
     pub(super) fn waits_for_hold(&self, motor: MotorId, kind: Kind) -> bool {
-        let is_opening = self.opening[motor.index()] > 0;
+        let is_opening = self.slots[motor.index()].opening > 0;
         is_opening && !kind.ends_motion() && kind != Opcode::ReleaseBrake.into()
     }
 
@@ -342,9 +345,9 @@ impl<E> State<E> {
         is_over: impl Fn(Kind) -> bool,
     ) {
         for motor in motors.iter() {
-            self.slot(motor).set_point = None;
             let stays_off = self.switched_off.contains(motor);
-            let past = &mut self.past[motor.index()];
+            let Slot { set_point, past, .. } = self.slot(motor);
+            *set_point = None;
             past.ended = past.ended.wrapping_add(1);
             past.is_let_go = match by {
                 Some(StopKind::Off) => true,
@@ -372,9 +375,9 @@ impl<E> State<E> {
     /// A motor has restarted: what moves it and is older than this report is dropped.
     pub(super) fn has_restarted(&mut self, restarted: MotorId) {
         self.restarted.insert(restarted);
-        let restarts = &mut self.past[restarted.index()].restarts;
-        *restarts = restarts.wrapping_add(1);
-        self.slot(restarted).set_point = None;
+        let Slot { set_point, past, .. } = self.slot(restarted);
+        *set_point = None;
+        past.restarts = past.restarts.wrapping_add(1);
         self.drop_questions(|motor, kind| {
             let is_dropped = motor == restarted && kind.moves();
             let refusal = RequestError::Restarted;
