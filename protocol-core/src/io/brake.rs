@@ -41,7 +41,7 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     // A drive that has lost its master obeys the third command (2.31.1).
     insist(bus, motor, ReadStatus1).await?;
     let before = insist(bus, motor, ReadStatus1).await?;
-    if has_errors(&before) {
+    if !before.errors.is_empty() {
         if before.brake != BrakeCommand::LOCK {
             let _ = insist(bus, motor, LockBrake).await;
         }
@@ -116,10 +116,6 @@ async fn turned_by_load<B: Calls<N>, const N: usize>(
         turned = turns;
         let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
     }
-}
-
-fn has_errors(status: &Status1) -> bool {
-    !status.errors.is_empty()
 }
 
 /// Afterwards the motor holds or its stop is in force, unless its brake was not told to open.
@@ -233,7 +229,7 @@ async fn may_hold<B: Calls<N>, const N: usize>(
 ) -> Result<bool, BringUpError<B::Error>> {
     let Feedback { speed, current, .. } = bus.ask(motor, ReadStatus2).await?;
     let runs = runs(bus, motor).await;
-    if has_errors(status) {
+    if !status.errors.is_empty() {
         return Ok(false);
     }
     let is_open = status.brake != BrakeCommand::LOCK;
@@ -293,7 +289,7 @@ async fn stands_by_itself<B: Calls<N>, const N: usize>(
 /// does, if that is known.
 async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> Option<bool> {
     // Only a known error prevents this: the load is falling.
-    if insist(bus, motor, ReadStatus1).await.is_ok_and(|status| has_errors(&status)) {
+    if insist(bus, motor, ReadStatus1).await.is_ok_and(|status| !status.errors.is_empty()) {
         return Some(false);
     }
     match open(bus, motor).await {
