@@ -27,17 +27,17 @@ pub async fn restart<B: Calls<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
     check_not_stopped(bus, motor)?;
-    let mut is_there = match wait_until_there(bus, motor, LONGEST_SILENCE).await {
+    let is_there = match wait_until_there(bus, motor, LONGEST_SILENCE).await {
         Ok(()) => true,
-        Err(BringUpError::NotThere(_)) => false,
+        Err(BringUpError::NotThere(_)) => {
+            // It may still hear.
+            let has_answered = bus.ask(motor, LockBrake).await.is_ok();
+            let locked = bus.now() + BRAKE_MOVES;
+            bus.wait_until(locked).await?;
+            has_answered
+        }
         Err(error) => return Err(error),
     };
-    if !is_there {
-        // It may still hear.
-        is_there = bus.ask(motor, LockBrake).await.is_ok();
-        let locked = bus.now() + BRAKE_MOVES;
-        bus.wait_until(locked).await?;
-    }
     if is_there {
         match switch_off(bus, motor).await {
             // The load falls in any case; an error that keeps the motor from holding ends with the restart.
