@@ -219,15 +219,14 @@ impl EchoFilter {
 impl Adapter {
     /// A frame to this address has come back, and is no answer.
     fn has_echoed(self, address: Target) -> Self {
-        match self {
-            Self::Echoes => self,
-            Self::NoneFound { suspected, .. } => match address {
-                Target::Motor(motor) if !suspected.contains(motor) => {
-                    Self::NoneFound { answers: 0, suspected: suspected.with(motor.into()) }
-                }
-                Target::Motor(_) | Target::All => Self::FoundEchoing { answers: 0 },
-            },
-            Self::FoundEchoing { .. } => Self::FoundEchoing { answers: 0 },
+        match (self, address) {
+            (Self::Echoes, _) => self,
+            (Self::NoneFound { suspected, .. }, Target::Motor(motor))
+                if !suspected.contains(motor) =>
+            {
+                Self::NoneFound { answers: 0, suspected: suspected.with(motor.into()) }
+            }
+            _ => Self::FoundEchoing { answers: 0 },
         }
     }
 
