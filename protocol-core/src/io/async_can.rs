@@ -144,7 +144,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
             if event.is_some() || until.is_some_and(|until| until <= now) {
                 return Ok(event);
             }
-            let (wake_at, is_refused) = (pump.wake_at(until), pump.refusals.has_refused());
+            let (wake_at, is_refused) = (pump.wake_at(until), pump.refusals.retry_at().is_some());
             rest(pin!(can.receive()), received, clock, wake_at, is_refused).await;
         }
     }

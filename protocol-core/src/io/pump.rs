@@ -98,8 +98,8 @@ impl<const N: usize> Pump<N> {
     /// When there is next something to do, at the latest at `latest`, unless something arrives first. While the bus
     /// refuses what is due, that is when it is offered again: hardly anything else shows when a bus takes frames again.
     pub(super) fn wake_at(&self, latest: Option<Instant>) -> Option<Instant> {
-        let retry_at = self.refusals.0.last.map(|last| last + RETRY_AFTER);
-        [retry_at.or_else(|| self.master.poll_at()), latest].into_iter().flatten().min()
+        let due = self.refusals.retry_at().or_else(|| self.master.poll_at());
+        [due, latest].into_iter().flatten().min()
     }
 
     /// Lets the clock of a loop that polls idle until `until`, or until there is something to do.
@@ -129,7 +129,8 @@ impl Refusals {
         self.0.last = None;
     }
 
-    pub(super) const fn has_refused(&self) -> bool {
-        self.0.last.is_some()
+    /// When the bus is offered again what it has refused.
+    pub(super) fn retry_at(&self) -> Option<Instant> {
+        self.0.last.map(|last| last + RETRY_AFTER)
     }
 }
