@@ -7,7 +7,7 @@ use crate::command::{
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::calls::Calls;
+use crate::io::calls::{Calls, SPOKEN_TO_EVERY};
 use crate::io::on_drop::OnDrop;
 use crate::io::outcome::BringUpError;
 use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
@@ -17,8 +17,6 @@ use crate::units::CoarseSpeed;
 
 /// How long a brake takes to open or to lock at most. To open, 50 to 150 ms were seen.
 pub const BRAKE_MOVES: Duration = Duration::from_millis(200);
-/// How often a motor that is waited for is spoken to: its communication-loss protection may be short.
-pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How long a motor may take to bring a load to rest that it catches.
 const COMES_TO_REST: Duration = Duration::from_millis(500);
 /// Within this time a load turns a shaft that nothing holds.

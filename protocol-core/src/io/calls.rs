@@ -10,7 +10,10 @@ use crate::io::async_runner::AsyncRunner;
 use crate::io::keep_alive::KeptAlive;
 use crate::io::presence::answers;
 use crate::master::{MotorSet, StopKind};
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// How often a motor that is waited for is spoken to: its communication-loss protection may be short.
+pub(super) const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 
 /// A bus as needed by the ways of working with one motor: [`move_to`](crate::io::async_bring_up::move_to),
 /// [`restart`](crate::io::async_bring_up::restart), [`protect`](crate::io::async_bring_up::protect) and those with a
