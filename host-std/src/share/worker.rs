@@ -182,15 +182,14 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     }
 
     fn answer(&mut self, event: &Event) {
-        let outcomes = self.asked.iter().map(|asked| asked.ticket.outcome(event));
-        let answered = outcomes.enumerate().find_map(|(at, outcome)| Some((at, outcome?)));
-        if let Some((at, outcome)) = answered {
-            let asked = self.asked.swap_remove(at);
+        self.asked.retain(|asked| {
+            let Some(outcome) = asked.ticket.outcome(event) else { return true };
             let motor = asked.ticket.id().motor();
             let failed = |failure| SharedBusError::Failed { motor, failure };
             // If the caller has gone, the answer is lost.
             let _ = asked.answer.send(outcome.map(|reply| reply.0).map_err(failed));
-        }
+            false
+        });
         for stop in &mut self.stopping {
             match *event {
                 Event::StopConfirmed { motor } => {
@@ -299,13 +298,11 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
 impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     fn obey(&mut self, order: Order<R::Error>) {
         let now = self.runner.now();
-        self.stopped_all = match order {
-            Order::StopAll { kind, .. } => Some((kind, now)),
-            _ => None,
-        };
+        self.stopped_all = None;
         let master = self.runner.master();
         match order {
             Order::StopAll { kind, also, answer } => {
+                self.stopped_all = Some((kind, now));
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
