@@ -1,6 +1,6 @@
 //! What callers lay on the desk, and where their answers go.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -52,12 +52,18 @@ pub(super) type Awaited<T, E> = Result<Waiting<T, E>, SharedBusError<E>>;
 /// A caller that waits for an answer.
 #[derive(Debug)]
 pub(super) struct Waiting<T, E> {
-    pub(super) answered: Receiver<Result<T, SharedBusError<E>>>,
+    answered: Receiver<Result<T, SharedBusError<E>>>,
     /// Lives for as long as the caller waits.
     pub(super) asker: Arc<()>,
 }
 
 impl<T, E> Waiting<T, E> {
+    /// Where an answer goes, and where its caller waits for it.
+    pub(super) fn new() -> (Answer<T, E>, Self) {
+        let (answer, answered) = sync_channel(1);
+        (answer, Self { answered, asker: Arc::default() })
+    }
+
     /// The answer, if it comes within `longest`. Only a thread that has ended gives none, and it has said why.
     pub(super) fn take(
         &self,

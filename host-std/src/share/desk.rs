@@ -3,7 +3,6 @@
 //! Everything is under one lock, so the order of the calls decides: a stop drops what is older
 //! at once, and refuses what comes after it, whether or not the thread has seen it yet.
 
-use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -100,7 +99,7 @@ impl<E> Desk<E> {
         insistence: Insistence,
         since: Option<Past>,
     ) -> Awaited<Data, E> {
-        let (answer, waiting) = call();
+        let (answer, waiting) = Waiting::new();
         let mut state = self.lock();
         let stop = StopKind::by(command.kind);
         // A caller that began before the motor was let go does not switch it on by holding it.
@@ -148,7 +147,7 @@ impl<E> Desk<E> {
 
     /// Stops all motors. The answer is those that have not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
-        let (answer, waiting) = call();
+        let (answer, waiting) = Waiting::new();
         self.order(Order::StopAll { kind, also, answer })?;
         Ok(waiting)
     }
@@ -160,7 +159,7 @@ impl<E> Desk<E> {
         kind: StopKind,
         since: Option<Past>,
     ) -> Awaited<MotorSet, E> {
-        let (answer, waiting) = call();
+        let (answer, waiting) = Waiting::new();
         let mut state = self.lock();
         let kind = state.stop_kind(motor, kind, since);
         state.order(Order::Stop { motor, kind, answer })?;
@@ -199,7 +198,7 @@ impl<E> Desk<E> {
 
     /// Waits until `until`, on the clock of the bus. The answer is the time then.
     pub(super) fn wait_until(&self, until: time::Instant) -> Awaited<time::Instant, E> {
-        let (answer, waiting) = call();
+        let (answer, waiting) = Waiting::new();
         self.order(Order::Wait { until, answer })?;
         Ok(waiting)
     }
@@ -406,10 +405,4 @@ impl<E> Desk<E> {
     pub(super) fn end(&self) {
         self.lock().subscribers.clear();
     }
-}
-
-/// Where an answer goes, and where its caller waits for it.
-fn call<T, E>() -> (Answer<T, E>, Waiting<T, E>) {
-    let (answer, answered) = sync_channel(1);
-    (answer, Waiting { answered, asker: Arc::default() })
 }
