@@ -39,11 +39,7 @@ impl<const N: usize> Master<N> {
         let before = self.busy_until;
         self.free_line_after_turnaround(now);
         // Frames that nobody asked for do not hold up a command that is due.
-        let is_due = match self.choose_interruption() {
-            Some((at, _)) => at <= now,
-            None => !self.is_anything_in_flight() && self.choose(now).is_some(),
-        };
-        if is_due {
+        if self.exchange_leaves_line_at() <= now && self.choose(now).is_some() {
             self.busy_until = before.min(self.busy_until);
         }
         self.handle_packet(&frame.as_reply()?, now)

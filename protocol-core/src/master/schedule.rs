@@ -30,16 +30,34 @@ impl Earliest {
 }
 
 impl<const N: usize> Master<N> {
-    /// Whether anything but a stop may go, once the line is free.
+    /// RS485: whether anything but a stop may go, once the line is free.
     pub(crate) fn sends_more_than_stops(&self, now: Instant) -> bool {
-        self.broadcast.is_waiting() && self.broadcast_may_go() || self.choose_motor(now).is_some()
+        self.choose_other(now).is_some()
     }
 
-    /// Stops first, then a broadcast that is due, then the motor that was served least.
+    /// RS485: when the exchange under way no longer keeps a stop off the line, whatever its time-out.
+    pub(super) fn exchange_leaves_line_at(&self) -> Instant {
+        self.in_flight_since().map_or(Instant::ZERO, |sent| sent + LONGEST_STOP_TIMEOUT)
+    }
+
+    /// RS485: from when [what is chosen](Self::choose) may go.
+    pub(super) fn line_is_free_at(&self) -> Instant {
+        self.busy_until.max(self.exchange_leaves_line_at())
+    }
+
+    /// What goes next: stops first. On RS485 only a stop does while an exchange is under way.
     pub(super) fn choose(&self, now: Instant) -> Option<Offer> {
+        if self.config.is_rs485() && self.is_anything_in_flight() {
+            return self.choose_stop();
+        }
         if let Some(stop) = self.choose_stop() {
             return Some(self.stop_or_other(stop, now));
         }
+        self.choose_other(now)
+    }
+
+    /// A broadcast that is due, or else the motor that was served least.
+    fn choose_other(&self, now: Instant) -> Option<Offer> {
         if self.broadcast.is_waiting() && self.broadcast_may_go() && !self.is_stops_turn() {
             return Some(Offer::Broadcast);
         }
@@ -69,7 +87,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// The stop to all, then the most urgent stop of one motor.
-    pub(super) fn choose_stop(&self) -> Option<Offer> {
+    fn choose_stop(&self) -> Option<Offer> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
         }
@@ -126,13 +144,6 @@ impl<const N: usize> Master<N> {
         let mut stops = self.at(self.places.stops);
         !self.config.is_rs485()
             && stops.any(|(_, motor)| motor.is_stop_called_again() && self.has_given_way(motor))
-    }
-
-    /// RS485: a stop, and from when it no longer waits for the exchange under way, whatever the time-out of that.
-    pub(super) fn choose_interruption(&self) -> Option<(Instant, Offer)> {
-        let in_flight_since = self.in_flight_since()?;
-        let stop = self.choose_stop()?;
-        Some((in_flight_since + LONGEST_STOP_TIMEOUT, stop))
     }
 
     /// Of the motors that have something to send now, and no stop, the one that was served least.
@@ -301,12 +312,8 @@ impl<const N: usize> Master<N> {
             motor.poll_at(is_any_waiting, quiet_at, &self.config, &mut earliest);
         }
         if self.config.is_rs485() {
-            let offered_at = if self.is_anything_in_flight() {
-                self.choose_interruption().map(|(at, _)| at.max(self.busy_until))
-            } else {
-                self.choose(self.busy_until).map(|_| self.busy_until)
-            };
-            earliest.take(offered_at);
+            let free_at = self.line_is_free_at();
+            earliest.take(self.choose(free_at).map(|_| free_at));
         } else if !self.places.waiting.without(self.places.in_flight).is_empty() {
             earliest.take(self.lead_grows_at());
         }

@@ -65,14 +65,10 @@ impl<const N: usize> Master<N> {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
         self.now = now;
         self.offer = None;
-        if self.config.is_rs485() && self.busy_until > now {
+        if self.config.is_rs485() && self.line_is_free_at() > now {
             return None;
         }
-        let offer = if self.config.is_rs485() && self.is_anything_in_flight() {
-            self.choose_interruption().filter(|&(at, _)| at <= now)?.1
-        } else {
-            self.choose(now)?
-        };
+        let offer = self.choose(now)?;
         self.offer = Some(offer);
         match offer {
             Offer::Request(place) => self.motors.get(usize::from(place))?.request_packet(),
