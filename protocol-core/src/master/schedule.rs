@@ -113,8 +113,7 @@ impl<const N: usize> Master<N> {
     /// The motors with a stop that may go.
     fn ready_stops(&self) -> impl Iterator<Item = (usize, &Motor)> {
         self.at(self.places.stops).filter(|(_, motor)| {
-            let waits = |stop| motor.waits_for_motion(stop, self.is_undone_with_all(motor));
-            motor.request.waiting().is_some_and(|stop| !waits(stop))
+            motor.request.waiting().is_some_and(|stop| !self.waits_for_proof(motor, stop))
                 && !(motor.is_stop_called_again() && self.gives_way(motor))
         })
     }
@@ -188,22 +187,25 @@ impl<const N: usize> Master<N> {
             asked.unanswered > 0 || self.broadcast.is_after(motor.ticket) || asked.ends_motion();
         motor.late.has_room()
             && !motor.late.may_be_mistaken(asked.question)
-            && !motor.waits_for_motion(asked, self.is_undone_with_all(motor))
+            && !self.waits_for_proof(motor, asked)
             && !self.broadcast.is_in_flight()
             && (is_first || !self.broadcast.is_waiting())
-            && !self.is_confusable(motor)
+            && !motor.id.is_some_and(|id| self.broadcast.may_be_mistaken(asked.data[0], id))
     }
 
-    /// Whether a command to all may still reach a motor and undo its request, if it is known when that ends.
-    fn is_undone_with_all(&self, motor: &Motor) -> bool {
-        let asked = motor.id.zip(motor.request.waiting());
-        asked.is_some_and(|(id, it)| self.broadcast.may_undo_for_a_while(it.kind(), id))
+    /// Whether this is to end motion once more and has to wait: until no answer to an earlier attempt can be taken for
+    /// that to the last, and, if it was certainly answered, until nothing that was sent before can move the motor any
+    /// more.
+    fn waits_for_proof(&self, motor: &Motor, asked: &Asked) -> bool {
+        let may_move = || motor.may_yet_move() || self.is_undone_with_all(motor, asked);
+        asked.proof.waits()
+            && (asked.proof == Proof::Waits && may_move()
+                || motor.late.may_be_mistaken(asked.question))
     }
 
-    /// Whether a motor's answer to the last broadcast could be taken for the answer to its request.
-    fn is_confusable(&self, motor: &Motor) -> bool {
-        let asked = motor.id.zip(motor.request.waiting());
-        asked.is_some_and(|(id, it)| self.broadcast.may_be_mistaken(it.data[0], id))
+    /// Whether a command to all may still reach a motor and undo this, if it is known when that ends.
+    fn is_undone_with_all(&self, motor: &Motor, asked: &Asked) -> bool {
+        motor.id.is_some_and(|id| self.broadcast.may_undo_for_a_while(asked.kind(), id))
     }
 
     /// Whether the waiting broadcast may go: no answer that looks like its own can come from a request or from the
@@ -220,9 +222,8 @@ impl<const N: usize> Master<N> {
         };
         // If a command waits to be sent once more until no command to all can undo it, it goes first: the broadcast
         // would prolong that wait.
-        let is_again = |asked: &Asked| asked.proof != Proof::First;
-        let waits_for_all = |motor: &Motor| {
-            motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
+        let waits_for_all = |motor: &Motor, asked: &Asked| {
+            asked.proof != Proof::First && self.is_undone_with_all(motor, asked)
         };
         // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind
         // does even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
@@ -239,7 +240,7 @@ impl<const N: usize> Master<N> {
         let keeps_back = |motor: &Motor| {
             motor.request.under_way().is_some_and(is_first)
                 || was_asked_before(motor)
-                || waits_for_all(motor)
+                || motor.request.waiting().is_some_and(|it| waits_for_all(motor, it))
                 || motor.late.may_be_mistaken(question) && !motor.stream.is_of(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))

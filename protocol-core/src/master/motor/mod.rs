@@ -19,7 +19,7 @@ use crate::master::event::Failure;
 use crate::master::health::{Health, Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Proof, Purpose, Request};
+use crate::master::request::{Asked, Purpose, Request};
 use crate::master::schedule::LONGEST_LEAD;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::stream::{SetPoint, Stream};
@@ -302,14 +302,6 @@ impl Motor {
     /// Whether it did not answer the last time, and nothing was heard of it since the last command.
     pub(super) fn seems_dead(&self) -> bool {
         self.was_missed() && self.health.last_seen().is_none_or(|seen| seen < self.sent)
-    }
-
-    /// Whether this is to end motion once more and has to wait: until no answer to an earlier attempt can be taken for
-    /// that to the last, and, if it was certainly answered, until nothing that was sent before can move the motor any
-    /// more.
-    pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
-        let moves = || asked.proof == Proof::Waits && (is_moved_with_all || self.may_yet_move());
-        asked.proof.waits() && (moves() || self.late.may_be_mistaken(asked.question))
     }
 
     /// Whether the waiting set-point may go. What ends motion was requested before it, and goes first however often it
