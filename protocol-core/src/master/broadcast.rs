@@ -157,7 +157,7 @@ impl Broadcast {
     pub(super) fn note_answer_of(&mut self, motor: MotorId, now: Instant, config: &Config) {
         self.on_its_way.note_bus_alive(now, config);
         if self.moved_since.contains(motor) {
-            self.on_its_way.extend(now + config.late_window);
+            self.on_its_way.extend(now, config);
         }
     }
 
@@ -240,10 +240,10 @@ impl Broadcast {
         self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
     }
 
-    /// CAN: a stop to all was sent. It may reach any motor until then, and its answers are not counted here.
-    pub(super) fn stop_was_sent(&mut self, stop: Kind, until: Instant, config: &Config) {
+    /// CAN: a stop to all was sent, which is due to be answered by then. Its answers are not counted here.
+    pub(super) fn stop_was_sent(&mut self, stop: Kind, due: Instant, config: &Config) {
         self.others = self.others.with(MayUndo::by(stop, config));
-        self.on_its_way.put(until, true);
+        self.on_its_way.put(due + config.late_window, true);
     }
 
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {

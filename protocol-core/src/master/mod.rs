@@ -377,7 +377,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
-        self.broadcast.on_its_way.extend(now + self.config.late_window);
+        self.broadcast.on_its_way.extend(now, &self.config);
         self.change_all(|motor, config| motor.bus_is_down(now, config));
     }
 

@@ -46,10 +46,10 @@ impl OnItsWay {
         }
     }
 
-    /// The bus carries nothing: it arrives later.
-    pub(super) fn extend(&mut self, until: Instant) {
+    /// It may not have left before now, and arrives later.
+    pub(super) fn extend(&mut self, now: Instant, config: &Config) {
         if let Self::Until(at) | Self::WhileCut(at) = self {
-            *at = until.max(*at);
+            *at = (now + config.late_window).max(*at);
         }
     }
 

@@ -373,10 +373,10 @@ impl<const N: usize> Master<N> {
         self.stop_to_all_sent = now;
         self.stop_to_all_was = Some(kind);
         let told = kind.question();
-        let until = now + self.config.reply_timeout + self.config.late_window;
-        self.change_all(|motor, config| motor.stop_to_all_was_sent(told, until, config));
+        let due = now + self.config.reply_timeout;
+        self.change_all(|motor, config| motor.stop_to_all_was_sent(told, due, config));
         if !self.config.is_rs485() {
-            self.broadcast.stop_was_sent(told.kind, until, &self.config);
+            self.broadcast.stop_was_sent(told.kind, due, &self.config);
         }
     }
 

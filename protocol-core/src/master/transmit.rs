@@ -169,8 +169,7 @@ impl<const N: usize> Master<N> {
                 silence = self.stop_timeout();
                 self.due = now;
                 self.change_at(usize::from(place), |motor, config| {
-                    let until = now + silence + config.late_window;
-                    motor.expect_late(STATUS, Of::Nobody, 1, until, config);
+                    motor.expect_late(STATUS, Of::Nobody, 1, now + silence, config);
                 });
             }
         }

@@ -87,8 +87,7 @@ impl Motor {
         }
         self.note_miss(config, now);
         if let Some(set_point) = self.stream.take_in_flight() {
-            let until = now + config.late_window;
-            self.expect_late(set_point.question, Of::Stream, 1, until, config);
+            self.expect_late(set_point.question, Of::Stream, 1, now, config);
             self.news.insert(News::UNANSWERED);
         }
         let Request::InFlight(mut asked) = self.request else { return };

@@ -13,26 +13,26 @@ impl Motor {
         self.on_its_way.is_any()
     }
 
-    /// A command was sent that moves the motor, or that would undo its stop. No late reply will show that it has
-    /// arrived.
+    /// A command was sent that moves the motor, or that would undo its stop, and was due by then. No late reply will
+    /// show that it has arrived.
     #[inline(never)]
-    pub(crate) fn may_move_until(&mut self, until: Instant, config: &Config) {
-        self.may_move_until_answered(until, config);
+    pub(crate) fn may_move_after(&mut self, due: Instant, config: &Config) {
+        self.may_move_until_answered(due, config);
         self.is_beyond_late = true;
     }
 
-    /// A command that moves was given up.
-    fn may_move_until_answered(&mut self, until: Instant, config: &Config) {
+    /// A command that moves, and was due by then, was given up.
+    fn may_move_until_answered(&mut self, due: Instant, config: &Config) {
         if let OnItsWay::No = self.on_its_way {
             self.is_beyond_late = false;
         }
-        self.on_its_way.put(until, !config.is_rs485());
+        self.on_its_way.put(due + config.late_window, !config.is_rs485());
     }
 
     /// What ends its motion was not answered: the bus may be cut, and may have been all the time.
     pub(super) fn note_bus_may_be_cut(&mut self, now: Instant, config: &Config) {
         if self.may_lie_in_mailbox(config) {
-            self.may_move_until(now + config.late_window, config);
+            self.may_move_after(now, config);
         }
     }
 
@@ -41,19 +41,20 @@ impl Motor {
         matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485()
     }
 
-    /// Replies to this question may come late, at most this many.
+    /// Replies to this question were due by then and may come late, at most this many.
     pub(crate) fn expect_late(
         &mut self,
         question: Question,
         of: Of,
         replies: u8,
-        until: Instant,
+        due: Instant,
         config: &Config,
     ) {
         if replies > 0 {
+            let until = due + config.late_window;
             self.is_beyond_late |= self.late.expect(question, of, replies, until);
             if question.kind.may_move() {
-                self.may_move_until_answered(until, config);
+                self.may_move_until_answered(due, config);
             }
         }
     }
@@ -79,10 +80,9 @@ impl Motor {
         if self.late.is_empty() {
             return false;
         }
-        let until = now + config.late_window;
-        let is_one_late = self.late.prolong(question, until);
+        let is_one_late = self.late.prolong(question, now + config.late_window);
         if is_one_late && !config.is_rs485() {
-            self.may_move_until_answered(until, config);
+            self.may_move_until_answered(now, config);
         }
         is_one_late
     }

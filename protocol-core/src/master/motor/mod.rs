@@ -344,7 +344,7 @@ impl Motor {
     /// for a while.
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
-        let late = now + asked.timeout + config.late_window;
+        let due = now + asked.timeout;
         self.was_sent(LastSent::empty(), now);
         self.note_sent(asked.kind(), &asked.data, config, now);
         if asked.is_stop() && self.stop_sent == StopSent::None {
@@ -354,16 +354,16 @@ impl Motor {
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
             if asked.may_move() {
-                self.may_move_until(late, config);
+                self.may_move_after(due, config);
             }
             self.request = Request::Sent(asked);
             return Some(true);
         }
         // Only a stop is sent while something is in flight, which may still arrive. On RS485 it waits for that.
         if asked.is_stop() && !config.is_rs485() {
-            self.late.extend(late);
+            self.late.extend(due + config.late_window);
         }
-        self.stop_set_point(late, config);
+        self.stop_set_point(due, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
         asked.proof = asked.proof.begun();
         self.request = Request::InFlight(asked);
@@ -386,7 +386,7 @@ impl Motor {
     fn give_request_up(&mut self, of: Of, config: &Config, at: Instant) {
         if let Some(asked) = self.request.under_way() {
             let (question, replies) = (asked.question, asked.unanswered);
-            self.expect_late(question, of, replies, at + config.late_window, config);
+            self.expect_late(question, of, replies, at, config);
         }
     }
 
@@ -423,7 +423,7 @@ impl Motor {
         }
         self.drop_waiting_set_point();
         self.late.extend(now + config.late_window);
-        self.on_its_way.extend(now + config.late_window);
+        self.on_its_way.extend(now, config);
         if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
             self.finish_request(Request::Failed(Failure::BusDown), config, now);
         }

@@ -186,8 +186,7 @@ impl Motor {
         let may_be_of_all = heard.may_answer_broadcast();
         if may_be_of_all {
             // If it belongs to the broadcast, the reply to this set-point is still to come.
-            let until = now + config.late_window;
-            self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
+            self.expect_late(set_point.question, Of::StreamAnswered, 1, now, config);
             is_one_late = true;
         }
         let is_echo = set_point.data == packet.data;
@@ -223,9 +222,9 @@ impl Motor {
 
     /// What ends its motion is sent once more, when no earlier answer can be taken for that to the last.
     fn waits_to_go_once_more(&mut self, mut asked: Asked, proof: Proof, config: &Config) {
-        let until = self.sent + asked.timeout + config.late_window;
+        let due = self.sent + asked.timeout;
         let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
-        self.expect_late(asked.question, of, replies, until, config);
+        self.expect_late(asked.question, of, replies, due, config);
         asked.proof = proof;
         self.request = Request::Waiting(asked);
     }
@@ -264,7 +263,7 @@ impl Motor {
             let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
             // The bus is intact at last: what is in a mailbox leaves it now.
             if asked.proof == Proof::First && may_lie && !may_undo {
-                self.may_move_until(now + config.late_window, config);
+                self.may_move_after(now, config);
             }
             if may_undo || self.may_yet_move() {
                 // Nothing that moves it, alone or with all, goes between the attempts to end its motion.

@@ -133,8 +133,8 @@ impl Motor {
                 _ => News::STOPPED,
             });
         }
-        if self.settled_at > now {
-            self.may_move_until(now + stop.timeout + config.late_window, config);
+        if !self.is_settled(now) {
+            self.may_move_after(now + stop.timeout, config);
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
@@ -150,7 +150,7 @@ impl Motor {
         let off = StopKind::Off.question();
         let other = if end.question == off { StopKind::Hold.question() } else { off };
         if self.late.may_be_mistaken(other) {
-            self.may_move_until(now + end.timeout + config.late_window, config);
+            self.may_move_after(now + end.timeout, config);
         }
     }
 
@@ -200,18 +200,18 @@ impl Motor {
     /// A stop to all was sent, which the motor may answer in addition to its own stop. On CAN, if both are the same, it
     /// counts as one more sending of its own. On RS485 the answers of several motors collide, so it is not known
     /// whether this one's will come: it confirms nothing.
-    pub(crate) fn stop_to_all_was_sent(&mut self, told: Question, until: Instant, config: &Config) {
-        self.stop_set_point(until, config);
+    pub(crate) fn stop_to_all_was_sent(&mut self, told: Question, due: Instant, config: &Config) {
+        self.stop_set_point(due, config);
         match self.own_stop(told).filter(|_| !config.is_rs485()) {
             Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
-            None => self.expect_late(told, Of::Nobody, 1, until, config),
+            None => self.expect_late(told, Of::Nobody, 1, due, config),
         }
     }
 
-    /// A stop takes the place of the set-point in flight, which may still arrive, and be answered until then.
-    pub(super) fn stop_set_point(&mut self, until: Instant, config: &Config) {
+    /// A stop that is due to be answered by then takes the place of the set-point in flight, which may still arrive.
+    pub(super) fn stop_set_point(&mut self, due: Instant, config: &Config) {
         if let Some(set_point) = self.stream.take_in_flight() {
-            self.expect_late(set_point.question, Of::StreamStopped, 1, until, config);
+            self.expect_late(set_point.question, Of::StreamStopped, 1, due, config);
         }
     }
 
