@@ -1,6 +1,5 @@
 //! Frames that a controller hands back because a more urgent one came: they were never on the bus.
 
-use crate::data::Data;
 use crate::kind::Kind;
 use crate::master::event::Failure;
 use crate::master::late::Of;
@@ -16,9 +15,7 @@ impl Motor {
     pub(crate) fn was_pushed_out(&mut self, packet: &Packet) {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
-        let is_this = |kind: Kind, data: &Data| {
-            kind.is_motion() == packet.is_motion() && *data == packet.data
-        };
+        let is_this = |question, data| self.packet(question, data).as_ref() == Some(packet);
         let asked = match self.request {
             // It was not sent yet, so this is another frame like it.
             Request::Waiting(asked) if asked.unanswered == 0 => None,
@@ -27,9 +24,9 @@ impl Motor {
             }
             Request::None | Request::Failed(_) => None,
         };
-        if let Some(asked) = asked.filter(|asked| is_this(asked.kind(), &asked.data)) {
+        if let Some(asked) = asked.filter(|asked| is_this(asked.question, asked.data)) {
             self.request_was_pushed_out(asked);
-        } else if self.stream.in_flight().is_some_and(|it| is_this(it.question.kind, &it.data)) {
+        } else if self.stream.in_flight().is_some_and(|it| is_this(it.question, it.data)) {
             self.set_point_was_pushed_out();
         } else {
             self.given_up_was_pushed_out(packet);
