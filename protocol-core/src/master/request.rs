@@ -107,11 +107,6 @@ impl Asked {
         self.attempts_left == STOP_ATTEMPTS
     }
 
-    /// It is not sent again.
-    pub(super) fn withdraw(&mut self) {
-        self.purpose = Purpose::Once;
-    }
-
     /// Whether it may be sent once more.
     pub(super) fn may_go_again(&self) -> bool {
         self.attempts_left > 0 && self.purpose != Purpose::Once
@@ -149,6 +144,14 @@ pub(super) enum Request {
 impl Request {
     pub(super) fn is_none(&self) -> bool {
         matches!(self, Self::None)
+    }
+
+    /// What was asked, unless it has failed.
+    pub(super) fn asked(&self) -> Option<&Asked> {
+        match self {
+            Self::Waiting(asked) | Self::InFlight(asked) | Self::Sent(asked) => Some(asked),
+            Self::None | Self::Failed(_) => None,
+        }
     }
 
     /// What is to be sent, if anything.

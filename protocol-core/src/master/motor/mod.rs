@@ -205,30 +205,29 @@ impl Motor {
 
     /// What a stop would refuse is not sent from now on, for the first time or again.
     pub(super) fn withdraw(&mut self, config: &Config, now: Instant) {
-        match &mut self.request {
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
-                if !asked.kind().is_refused_while_stopped() => {}
-            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
-            Request::Waiting(asked) => {
-                let was_sent = asked.unanswered > 0;
-                let why = if was_sent { Failure::NoReply } else { Failure::Dropped };
-                self.finish_request(Request::Failed(why), config, now);
-            }
-            Request::None | Request::Failed(_) => {}
+        let refused = |asked: &&Asked| asked.kind().is_refused_while_stopped();
+        if let Some(asked) = self.request.asked().filter(refused) {
+            let was_sent = asked.unanswered > 0;
+            let why = if was_sent { Failure::NoReply } else { Failure::Dropped };
+            self.drop_request(why, config, now);
         }
     }
 
     /// Drops what waits and would move it. A move that was sent is not sent again, whatever becomes of it.
     pub(super) fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
-        if self.request.waiting().is_some_and(Asked::may_move) {
-            self.finish_request(Request::Failed(why), config, now);
-        }
         self.last_sent.insert(LastSent::IS_OLD);
-        if let Request::InFlight(asked) | Request::Sent(asked) = &mut self.request {
-            if asked.may_move() {
-                asked.withdraw();
-            }
+        if self.request.asked().is_some_and(Asked::may_move) {
+            self.drop_request(why, config, now);
+        }
+    }
+
+    /// The request is not sent from now on: it fails for this reason if it waits.
+    fn drop_request(&mut self, why: Failure, config: &Config, now: Instant) {
+        match &mut self.request {
+            Request::Waiting(_) => self.finish_request(Request::Failed(why), config, now),
+            Request::InFlight(asked) | Request::Sent(asked) => asked.purpose = Purpose::Once,
+            Request::None | Request::Failed(_) => {}
         }
     }
 

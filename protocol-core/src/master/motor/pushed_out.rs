@@ -16,15 +16,10 @@ impl Motor {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
         let is_this = |question, data| self.packet(question, data).as_ref() == Some(packet);
-        let asked = match self.request {
-            // It was not sent yet, so this is another frame like it.
-            Request::Waiting(asked) if asked.unanswered == 0 => None,
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
-                Some(asked)
-            }
-            Request::None | Request::Failed(_) => None,
-        };
-        if let Some(asked) = asked.filter(|asked| is_this(asked.question, asked.data)) {
+        // If the request was not sent yet, this is another frame like it.
+        let is_unsent = self.request.waiting().is_some_and(|asked| asked.unanswered == 0);
+        let asked = self.request.asked().filter(|asked| is_this(asked.question, asked.data));
+        if let Some(&asked) = asked.filter(|_| !is_unsent) {
             self.request_was_pushed_out(asked);
         } else if self.stream.in_flight().is_some_and(|it| is_this(it.question, it.data)) {
             self.set_point_was_pushed_out();

@@ -119,15 +119,8 @@ impl Motor {
             // What became of an earlier stop says nothing about this one.
             self.news.remove(News::UNCONFIRMED);
         }
-        let is_callers = match self.request {
-            Request::None => false,
-            // Also for a request whose outcome was not reported yet: each request has one.
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
-                !asked.is_stop()
-            }
-            Request::Failed(_) => true,
-        };
-        if is_callers {
+        // Also for a request whose outcome was not reported yet: each request has one.
+        if !self.request.is_none() && !self.request.asked().is_some_and(Asked::is_stop) {
             self.news.insert(match stop.purpose {
                 Purpose::StopAgain => News::STOPPED_AGAIN,
                 _ => News::STOPPED,
