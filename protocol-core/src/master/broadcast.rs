@@ -139,12 +139,9 @@ impl Broadcast {
         is_before(ticket, self.ticket)
     }
 
-    pub(super) fn waits_to_move(&self) -> bool {
-        self.is_waiting() && self.kind.is_some_and(Kind::moves)
-    }
-
-    pub(super) fn waits_to_end_motion(&self) -> bool {
-        self.is_waiting() && self.kind.is_some_and(Kind::ends_motion)
+    /// What is to be sent, if anything.
+    pub(super) fn waiting(&self) -> Option<Kind> {
+        if self.is_waiting() { self.kind } else { None }
     }
 
     /// Whether this motor must answer twice what ends its motion. The first answer shows that the bus is intact; what
@@ -168,7 +165,7 @@ impl Broadcast {
     /// Whether it waits to move this motor, or what was sent may still do so.
     pub(super) fn may_yet_move(&self, motor: MotorId) -> bool {
         self.others.with(self.last).moves.contains(motor)
-            || self.is_waiting() && self.kind.is_some_and(Kind::may_move)
+            || self.waiting().is_some_and(Kind::may_move)
     }
 
     pub(super) fn is_in_flight(&self) -> bool {
@@ -283,7 +280,8 @@ impl Broadcast {
 
     /// Whether this broadcast may go after the one before it: no `known` or expected motor can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
-        known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))
+        let asked = known.with(self.silent);
+        asked.without(self.may_answer) == asked
     }
 
     /// Whether this reply of `motor` answers this broadcast; each motor that is expected to answer does so once. `None`

@@ -1,6 +1,7 @@
 //! A motor that has restarted gets no moves before the caller knows.
 
 use crate::id::MotorId;
+use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::motor::LastSent;
 
@@ -36,7 +37,7 @@ impl<const N: usize> Master<N> {
 
     /// Drops a broadcast that would move a motor that has restarted.
     pub(super) fn cancel_move_after_restart(&mut self) {
-        if self.broadcast.waits_to_move() && self.has_any_restarted() {
+        if self.broadcast.waiting().is_some_and(Kind::moves) && self.has_any_restarted() {
             self.broadcast.cancel();
         }
     }

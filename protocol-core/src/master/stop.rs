@@ -264,7 +264,8 @@ impl<const N: usize> Master<N> {
     fn unconfirmed_stop(&self, motor: &Motor) -> Option<(MotorId, StopKind, Instant)> {
         let (id, (kind, since)) = (motor.id?, motor.unconfirmed_stop()?);
         // What all motors are about to be told may be a different stop.
-        (self.is_stopped(id) && !self.broadcast.waits_to_end_motion()).then_some((id, kind, since))
+        let is_superseded = self.broadcast.waiting().is_some_and(Kind::ends_motion);
+        (self.is_stopped(id) && !is_superseded).then_some((id, kind, since))
     }
 
     fn rest_before_next_stop(&self) -> Duration {
