@@ -69,18 +69,12 @@ impl Places {
         usize::from(*self.of.get(motor.index())?).checked_sub(1)
     }
 
-    pub(super) fn give(&mut self, place: usize, motor: MotorId) {
+    /// From now on the place belongs to this motor, or no longer does.
+    fn set(&mut self, place: usize, motor: MotorId, is_taken: bool) {
         if let Some(of) = self.of.get_mut(motor.index()) {
-            *of = place as u8 + 1;
+            *of = if is_taken { place as u8 + 1 } else { 0 };
         }
-        self.taken.set(place, true);
-    }
-
-    pub(super) fn clear(&mut self, place: usize, motor: MotorId) {
-        if let Some(of) = self.of.get_mut(motor.index()) {
-            *of = 0;
-        }
-        self.taken.set(place, false);
+        self.taken.set(place, is_taken);
     }
 
     /// Changes the motor at this place. A motor that has a place is changed in no other way.
@@ -151,7 +145,7 @@ impl<const N: usize> Master<N> {
             // A stop to all is also for this motor, and must not be left out because it was called before.
             self.stop_to_all_was = None;
             self.change_at(place, |motor, _| *motor = Motor::default());
-            self.places.clear(place, motor);
+            self.places.set(place, motor, false);
         }
         is_idle
     }
@@ -193,7 +187,7 @@ impl<const N: usize> Master<N> {
         let mut motors = self.motors.iter_mut().enumerate();
         let (place, of) = motors.find(|(_, motor)| motor.id.is_none())?;
         of.id = Some(motor);
-        self.places.give(place, motor);
+        self.places.set(place, motor, true);
         Some(place)
     }
 
