@@ -8,6 +8,7 @@ use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::is_before;
 use crate::master::on_its_way::OnItsWay;
+use crate::master::request::Purpose;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
@@ -422,7 +423,17 @@ impl<const N: usize> Master<N> {
         expected: MotorSet,
     ) -> Result<(), RequestError> {
         let data = command.encode();
-        let kind = command.kind().of_bytes(&data);
+        self.put_broadcast(command.kind().of_bytes(&data), data, expected)
+    }
+
+    /// Compiled once for all types.
+    #[inline(never)]
+    fn put_broadcast(
+        &mut self,
+        kind: Kind,
+        data: Data,
+        expected: MotorSet,
+    ) -> Result<(), RequestError> {
         let now = self.now;
         self.check(kind, Target::All)?;
         if kind.moves() {
@@ -446,10 +457,10 @@ impl<const N: usize> Master<N> {
             // What was offered may be a set-point that this command ends.
             self.offer = None;
             self.is_any_off_since |= kind == Kind::Known(Opcode::Shutdown);
-            let off = self.stop_that_lets_go(kind);
-            if off.is_some() {
+            if kind.lets_go() {
                 self.let_line_answer();
             }
+            let off = kind.lets_go().then(|| self.stop_of(StopKind::Off.command(), Purpose::Stop));
             self.change_all(|motor, config| motor.end_with_all(off, config, now));
             // It may have to go to each motor individually.
             self.end_motion_of_all();

@@ -209,8 +209,7 @@ impl<const N: usize> Master<N> {
         }
         self.overtakes_broadcast(motor, kind);
         self.offer = None;
-        let (command, data) = kind.command();
-        let stop = self.stop_of(command, data, purpose);
+        let stop = self.stop_of(kind.command(), purpose);
         let (pace, now) = (self.pace, self.now);
         self.change(motor, |motor, config| {
             motor.join(pace);
@@ -285,16 +284,10 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// What a motor that is about to be held gets instead if this command lets all motors go.
-    pub(super) fn stop_that_lets_go(&self, all: Kind) -> Option<Asked> {
-        let (off, data) = StopKind::Off.command();
-        all.lets_go().then(|| self.stop_of(off, data, Purpose::Stop))
-    }
-
-    fn stop_of(&self, command: Kind, data: Data, purpose: Purpose) -> Asked {
+    pub(super) fn stop_of(&self, (kind, data): (Kind, Data), purpose: Purpose) -> Asked {
         let attempts = if purpose == Purpose::StopAgain { 1 } else { STOP_ATTEMPTS };
         let patience = Patience { reply_timeout: self.stop_timeout(), attempts };
-        Asked::new(purpose, Question::of(command, &data), data, patience)
+        Asked::new(purpose, Question::of(kind, &data), data, patience)
     }
 
     pub(crate) fn stop_timeout(&self) -> Duration {
@@ -321,7 +314,7 @@ impl<const N: usize> Master<N> {
         if kind.is_refused_while_stopped() {
             return;
         }
-        let (stop, now) = (self.stop_of(kind, data, Purpose::Stop), self.now);
+        let (stop, now) = (self.stop_of((kind, data), Purpose::Stop), self.now);
         self.let_line_answer();
         for motor in self.motors().without(held.with(off).with(undone)).iter() {
             self.change(motor, |motor, config| motor.put_stop(stop, config, now));
