@@ -1,12 +1,11 @@
 //! Whose turn it is on the bus, and when.
 
-use crate::kind::Kind;
+use crate::master::late::Question;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Proof};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::transmit::ForAll;
-use crate::master::{Bus, Master, Offer};
-use crate::opcode::Opcode;
+use crate::master::{Bus, Master, Offer, StopKind};
 use crate::time::{Duration, Instant};
 
 /// How many rounds a motor may get ahead of one that may be waiting for its turn to answer. If there are more motors
@@ -213,39 +212,38 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
-        // What one motor was told before must not undo what all are told now.
-        let holds = question.kind == Kind::Known(Opcode::Stop);
-        let lets_go = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Shutdown);
-        let is_first = |asked: &Asked| {
-            let may_move = question.kind.may_move() && asked.ends_motion();
-            asked.unanswered > 0 || may_move || holds && lets_go(asked)
-        };
-        // If a command waits to be sent once more until no command to all can undo it, it goes first: the broadcast
-        // would prolong that wait.
-        let waits_for_all = |motor: &Motor, asked: &Asked| {
-            asked.proof != Proof::First && self.is_undone_with_all(motor, asked)
-        };
-        // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind
-        // does even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
-        let goes = |motor: &Motor, asked: &Asked| {
-            asked.kind().byte() == question.kind.byte() || self.request_may_go(motor, asked)
-        };
-        let was_asked_before = |motor: &Motor| {
-            !question.kind.ends_motion()
-                && self.broadcast.is_after(motor.ticket)
-                && motor.is_settled(self.now)
-                && motor.request.waiting().is_some_and(|it| !it.is_stop() && goes(motor, it))
-        };
-        // A stream of this kind, however long it goes on, does not keep it back: feedback is not taken for its answer.
-        let keeps_back = |motor: &Motor| {
-            motor.request.under_way().is_some_and(is_first)
-                || was_asked_before(motor)
-                || motor.request.waiting().is_some_and(|it| waits_for_all(motor, it))
-                || motor.late.may_be_mistaken(question) && !motor.stream.is_of(question)
-        };
-        !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
+        !self.at(self.places.taken).any(|(_, motor)| self.keeps_back(motor, question))
             && (!question.kind.moves() || !self.has_any_restarted())
             && self.broadcast.may_go(self.motors())
+    }
+
+    /// Whether a motor keeps back the waiting broadcast, which asks this.
+    fn keeps_back(&self, motor: &Motor, question: Question) -> bool {
+        let all = question.kind;
+        // A stream of this kind, however long it goes on, does not: feedback is not taken for the answer.
+        if motor.late.may_be_mistaken(question) && !motor.stream.is_of(question) {
+            return true;
+        }
+        let Some(asked) = motor.request.under_way() else { return false };
+        // What one motor was told before must not undo what all are told now.
+        let holds_again = StopKind::by(asked.kind()) == Some(StopKind::Off)
+            && StopKind::by(all) == Some(StopKind::Hold);
+        if asked.unanswered > 0 || all.may_move() && asked.ends_motion() || holds_again {
+            return true;
+        }
+        // If a command waits to be sent once more until no command to all can undo it, it goes first: the broadcast
+        // would prolong that wait.
+        let goes_again = || asked.proof != Proof::First && self.is_undone_with_all(motor, asked);
+        // A request that was put before the broadcast goes first, unless the broadcast ends motion. One of its kind
+        // does even if it waits for a late reply: otherwise it would also wait for the answers to the broadcast.
+        let was_put_before = || {
+            !all.ends_motion()
+                && !asked.is_stop()
+                && self.broadcast.is_after(motor.ticket)
+                && motor.is_settled(self.now)
+                && (asked.kind().byte() == all.byte() || self.request_may_go(motor, asked))
+        };
+        motor.request.waiting().is_some() && (goes_again() || was_put_before())
     }
 
     /// Notes one more frame on the bus: after those that are queued already, or right now.
