@@ -574,12 +574,11 @@ mod tests {
         }
     }
 
-    /// Checks that a brake is locked that opens when another thread switches the motor off, in this way and at this
-    /// moment. Nothing else can hold its load then.
-    fn is_locked_though_opened(
+    /// What is sent while a brake opens and another thread does this at this moment, and whether the brake is released.
+    fn opened(
         (byte, moment): (u8, &'static str),
-        switch_off: fn(&SharedBus<CanError>),
-    ) {
+        meanwhile: fn(&SharedBus<CanError>),
+    ) -> (Vec<u8>, bool) {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let (opens, is_opening) = mpsc::channel();
         let port = Tells(fleet.world.port(), byte, move |now: &str| {
@@ -593,13 +592,23 @@ mod tests {
         let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
         let (log, bus) = (fleet.world.log(), SharedBus::new(master, StopKind::Hold));
         let other = bus.clone();
-        let switching_off = thread::spawn(move || {
+        let calling = thread::spawn(move || {
             is_opening.recv().unwrap();
-            switch_off(&other);
+            meanwhile(&other);
         });
-        assert!(bus.release_brake(id(1)).is_err());
-        switching_off.join().unwrap();
-        let sent = sent(&log);
+        let is_released = bus.release_brake(id(1)).is_ok();
+        calling.join().unwrap();
+        (sent(&log), is_released)
+    }
+
+    /// Checks that a brake is locked that opens when another thread switches the motor off, in this way and at this
+    /// moment. Nothing else can hold its load then.
+    fn is_locked_though_opened(
+        (byte, moment): (u8, &'static str),
+        switch_off: fn(&SharedBus<CanError>),
+    ) {
+        let (sent, is_released) = opened((byte, moment), switch_off);
+        assert!(!is_released, "{byte:02X} {moment}");
         // While the thread of the release is away, the clock goes on, and the motor is kept alive.
         let mut since_off =
             sent.iter().filter(|&&byte| byte != 0xB1).skip_while(|&&byte| byte != 0x80).take(6);
@@ -615,6 +624,15 @@ mod tests {
                 assert!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap().is_empty());
             });
         }
+    }
+
+    /// The stop is what holds its load.
+    #[test]
+    fn brake_of_a_motor_that_another_thread_stops_to_hold_while_it_opens_is_released() {
+        let (sent, is_released) = opened((0x81, "answered"), |bus| {
+            assert!(bus.stop(id(1), StopKind::Hold).unwrap().is_empty());
+        });
+        assert!(is_released && !sent.contains(&0x78), "{sent:02X?}");
     }
 
     /// A bus on which the answers to 0x78 are lost.
