@@ -337,6 +337,7 @@ impl<const N: usize> Master<N> {
                 is_quiet: self.quiet_at() <= now,
                 at: self.heard_at_least(),
                 last_reply: self.last_reply,
+                reply_takes: self.config.frame_time + self.bursts.pause(),
             };
             let under_way = self.places.waiting.or(self.places.in_flight);
             let mut next = Earliest::default();

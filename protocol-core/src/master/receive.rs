@@ -74,8 +74,7 @@ impl<const N: usize> Master<N> {
                 Some(self.lost_master(motor, now))
             }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                let began = now - self.config.frame_time - self.bursts.pause();
-                self.last_reply = LastReply::new(packet.channel, began);
+                self.last_reply = LastReply::new(packet.channel, now);
                 self.handle_reply(motor, packet)
             }
             Channel::BusId => {

@@ -20,6 +20,8 @@ pub(crate) struct Hearing {
     /// When anything was last heard.
     pub(crate) at: Instant,
     pub(crate) last_reply: LastReply,
+    /// How long ago the frame of a reply may have begun that is heard now.
+    pub(crate) reply_takes: Duration,
 }
 
 impl Motor {
@@ -63,7 +65,7 @@ impl Motor {
         let came_instead = |id| {
             let is_motion = self.stream.in_flight().is_some_and(|it| it.question.kind.is_motion());
             let reply = if is_motion { Channel::MotionReply(id) } else { Channel::Reply(id) };
-            heard.last_reply.came_instead_of(reply, ready)
+            heard.last_reply.came_instead_of(reply, ready, heard.reply_takes)
         };
         now >= ready
             && (heard.is_quiet
