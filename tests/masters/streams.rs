@@ -208,10 +208,10 @@ impl<K: Clock> Clock for Stepped<K> {
 
 const FINE: Duration = Duration::from_micros(1);
 
-/// The sum of these rates, if none of them is less than nine tenths of their mean.
+/// The sum of these rates, if none of them is less than four fifths of their mean.
 fn equal(rates: &[f64]) -> Option<f64> {
     let sum = rates.iter().sum::<f64>();
-    let least = 0.9 * sum / rates.len() as f64;
+    let least = 0.8 * sum / rates.len() as f64;
     rates.iter().all(|rate| *rate >= least).then_some(sum)
 }
 
@@ -220,17 +220,13 @@ fn equal(rates: &[f64]) -> Option<f64> {
 /// such steps.
 fn full_bus(
     motors: u8,
+    config: Config,
     step: Duration,
     make: impl FnOnce(&World<CanBus>, StationId),
 ) -> (Vec<f64>, f64) {
     const SECONDS: f64 = 4.0;
     let Rig { world, runner, port, ledger, .. } = Rig::<CanBus>::new(motors, 9);
     let (can, clock) = runner.release();
-    let config = Config {
-        shortest_response: Duration::ZERO,
-        longest_response: Config::CAN.longest_response + step,
-        ..Config::CAN
-    };
     let mut runner = CanMaster::<_, _, 32>::new(can, Stepped { clock, step }, config);
     make(&world, port);
     for motor in MotorId::all().take(motors.into()) {
@@ -266,7 +262,7 @@ fn full_bus(
 fn eight_streams_that_lose_5_percent_get_19_of_21_turns_of_a_full_bus() {
     let loses = |lose| {
         let faults = FaultPlan { lose, ..FaultPlan::NONE };
-        full_bus(8, FINE, |world, _| world.set_faults(Direction::ToPorts, faults))
+        full_bus(8, Config::CAN, FINE, |world, _| world.set_faults(Direction::ToPorts, faults))
     };
     let (whole, lost) = loses(0.0);
     assert!(whole.iter().all(|rate| *rate >= 520.0) && lost == 0.0, "{whole:?}");
@@ -278,15 +274,23 @@ fn eight_streams_that_lose_5_percent_get_19_of_21_turns_of_a_full_bus() {
     assert!(feedback.iter().all(|rate| *rate >= 520.0 * 19.0 / 22.0), "{feedback:?}");
 }
 
-/// Between two bursts the bus seems quiet, but replies of high ids are waiting to be sent.
+/// Between two bursts the bus seems quiet, but replies of high ids are waiting to be sent. Nobody tells the master of
+/// the bursts.
 #[test]
-fn motors_behind_an_adapter_that_delivers_every_millisecond_have_equal_turns() {
-    for motors in [10, 12, 14, 16, 24, 32] {
-        let (feedback, _) =
-            full_bus(motors, FINE, |world, port| world.hand_over_every(port, millis(1)));
-        // The bus carries 4,180 exchanges a second.
-        let sum = equal(&feedback);
-        assert!(sum.is_some_and(|sum| sum >= 3_300.0), "{motors}: {feedback:?}");
+fn motors_behind_an_adapter_that_delivers_in_bursts_have_equal_turns() {
+    let adapting = Config::CAN.adapting_up_to(millis(60));
+    for (config, burst) in [(Config::CAN, 1), (adapting, 1), (adapting, 4), (adapting, 16)] {
+        for motors in [10, 12, 14, 16, 24, 32] {
+            let make = |world: &World<_>, port| world.hand_over_every(port, millis(burst));
+            let (feedback, _) = full_bus(motors, config, FINE, make);
+            // The bus carries 4,180 exchanges a second. Each motor is due a set-point at every other burst at least.
+            let least = f64::from(motors) * 500.0 / burst as f64;
+            let sum = equal(&feedback);
+            assert!(
+                sum.is_some_and(|sum| sum >= least.min(3_300.0)),
+                "{burst} ms, {motors}: {feedback:?}"
+            );
+        }
     }
 }
 
@@ -294,13 +298,19 @@ fn motors_behind_an_adapter_that_delivers_every_millisecond_have_equal_turns() {
 #[test]
 fn motors_of_a_master_with_a_coarse_clock_have_equal_turns() {
     for step in [100, 1_000, 2_000, 4_000].map(Duration::from_micros) {
+        let config = Config {
+            shortest_response: Duration::ZERO,
+            longest_response: Config::CAN.longest_response + step,
+            ..Config::CAN
+        };
         for motors in [10, 12, 16, 32] {
-            let (feedback, _) = full_bus(motors, step, |_, _| {});
+            let (feedback, _) = full_bus(motors, config, step, |_, _| {});
             let sum = equal(&feedback);
             assert!(sum.is_some_and(|sum| sum >= 4_100.0), "{step}, {motors}: {feedback:?}");
             // Both at once.
-            let (feedback, _) =
-                full_bus(motors, step, |world, port| world.hand_over_every(port, millis(1)));
+            let (feedback, _) = full_bus(motors, config, step, |world, port| {
+                world.hand_over_every(port, millis(1))
+            });
             let sum = equal(&feedback);
             assert!(sum.is_some_and(|sum| sum >= 3_300.0), "{step}, {motors}: {feedback:?}");
         }
