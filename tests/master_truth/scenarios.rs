@@ -258,8 +258,7 @@ impl Scenario {
             config.late_window = Duration::from_millis(1_000);
         }
         if self.conditions.coarse_clock {
-            // An answer within the clock step of its command seems to take no time.
-            config.shortest_response = Duration::ZERO;
+            config = config.for_clock_step(Duration::from_millis(1));
         }
         if self.conditions.adapts {
             config = config.adapting_up_to(LONGEST_REPLY_TIMEOUT);

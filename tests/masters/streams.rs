@@ -298,11 +298,7 @@ fn motors_behind_an_adapter_that_delivers_in_bursts_have_equal_turns() {
 #[test]
 fn motors_of_a_master_with_a_coarse_clock_have_equal_turns() {
     for step in [100, 1_000, 2_000, 4_000].map(Duration::from_micros) {
-        let config = Config {
-            shortest_response: Duration::ZERO,
-            longest_response: Config::CAN.longest_response + step,
-            ..Config::CAN
-        };
+        let config = Config::CAN.for_clock_step(step);
         for motors in [10, 12, 16, 32] {
             let (feedback, _) = full_bus(motors, config, step, |_, _| {});
             let sum = equal(&feedback);

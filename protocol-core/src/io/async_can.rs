@@ -102,7 +102,8 @@ pub struct AsyncCanMaster<C: AsyncCan, K, const N: usize> {
 }
 
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
-    /// A loop on this controller, timed by this clock.
+    /// A loop on this controller, timed by this clock. The configuration has to say if the clock is
+    /// [coarse](Config::for_clock_step).
     pub fn new(can: C, clock: K, config: Config) -> Self {
         Self { can, clock, pump: Pump::new(config), received: None }
     }

@@ -6,6 +6,9 @@
 //! master for their run times (0xB1) all the while, so that none lets go because it [hears nothing](protect). It cannot
 //! speak to motors of another bus: with several buses, give each a thread or a task of its own.
 //!
+//! All motors that have the named id obey, on a bus of motors as they come from the factory often several. Find out
+//! first whether an id [is shared](is_shared).
+//!
 //! # Functions that switch a motor off
 //! [`zero_here`], [`change_id`] and [`restart`] are refused while a stop is in force for the motor, and switch it off
 //! before they write or restart anything. If it may hold a load, its brake is told to lock (0x78) before. If the load

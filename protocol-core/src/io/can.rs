@@ -31,7 +31,8 @@ pub struct CanMaster<C, K, const N: usize> {
 }
 
 impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
-    /// A loop on this controller, timed by this clock.
+    /// A loop on this controller, timed by this clock. The configuration has to say if the clock is
+    /// [coarse](Config::for_clock_step).
     pub fn new(can: C, clock: K, config: Config) -> Self {
         Self { can, clock, pump: Pump::new(config) }
     }

@@ -5,9 +5,9 @@ use crate::time::Instant;
 /// A clock for the loops of [`io`](crate::io). It must never run backwards or start again. A 32-bit timer of
 /// microseconds does after little more than an hour: count its overflows, or loops wait for ever and motors go on.
 ///
-/// On CAN its steps must be no longer than [`Config::shortest_response`](crate::master::Config::shortest_response).
-/// With a coarser clock answers seem to come sooner than any drive sends them and are strays, so that no motor seems to
-/// answer: set `shortest_response` to 0 for such a clock, and add a step to `longest_response`.
+/// If it goes on in steps of more than some ten microseconds, such as a tick of 1 ms, the configuration of a CAN bus has
+/// to say so: [`Config::for_clock_step`](crate::master::Config::for_clock_step). Otherwise some answers, or all, seem to
+/// come sooner than any drive sends them: they are strays, and motors seem not to answer or to share an id.
 ///
 /// ```
 /// use myactuator_protocol_core::io::Clock;
@@ -44,7 +44,8 @@ impl<C: Clock + ?Sized> Clock for &C {
     }
 }
 
-/// A clock that can wake a task, for the async loops of [`io`](crate::io).
+/// A clock that can wake a task, for the async loops of [`io`](crate::io). What is said there of the steps of a
+/// [`Clock`] applies.
 ///
 /// With embassy, `Timer::at` is all that is needed:
 ///

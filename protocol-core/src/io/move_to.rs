@@ -3,8 +3,8 @@
 use core::ops::ControlFlow;
 
 use crate::command::{
-    AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadRunTime,
-    ReadStatus1, ReadStatus2,
+    AbsolutePosition, Command, ForcePosition, IncrementalPosition, LockBrake, ReadMultiTurnAngle,
+    ReadRunTime, ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -163,6 +163,10 @@ pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
         Err(why) => {
             let kind = kind_of_stop(moving.it);
             let is_stopped = moving.it.stop(motor, kind).await;
+            if let MoveFailure::Fault(_) = why {
+                // Only the brake can hold the shaft now. The outcome of this changes nothing.
+                let _ = moving.it.ask(motor, LockBrake).await;
+            }
             Err(NotArrived { motor, why, is_stopped })
         }
     };

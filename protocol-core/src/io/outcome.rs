@@ -239,8 +239,9 @@ pub enum MoveFailure<E> {
     /// was sent.
     #[error("a move with at most 0 % of the torque may be one without a limit: give 1 to 255 %")]
     NoTorque,
-    /// The drive reports errors.
-    #[error("the drive reports an error ({0})")]
+    /// The drive reports errors, for which it cuts its output. Its brake was told to lock: nothing else holds its shaft,
+    /// although it confirms the stop.
+    #[error("the drive reports an error ({0}): only a locked brake holds its shaft")]
     Fault(ErrorFlags),
     /// It came no nearer for a while, and stands.
     #[error(
@@ -311,7 +312,8 @@ pub struct NotArrived<E> {
     /// Why.
     pub why: MoveFailure<E>,
     /// Whether it has confirmed the [stop](crate::io::bring_up::MoveLimits::stop). If not, **cut its power**, unless
-    /// another move [is under way](MoveFailure::UnderWay): that one goes on.
+    /// another move [is under way](MoveFailure::UnderWay): that one goes on. Also a motor
+    /// [with an error](MoveFailure::Fault) confirms, and holds nothing.
     pub is_stopped: bool,
 }
 

@@ -394,8 +394,9 @@ impl<const N: usize> Master<N> {
     /// may be in a controller's mailbox until then.
     ///
     /// # One that ends motion
-    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast is slower and proves less:
+    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast is slower, proves less and forbids nothing:
     ///
+    /// - Whatever is put after it is sent: the next set-points of a stream move the motors on.
     /// - It waits for what is in flight, and for a stop for as long as a motor does not confirm that.
     /// - One that holds (0x81) waits for each Shutdown (0x80) that was requested before, even if that waits for the end
     ///   of a restart.

@@ -72,8 +72,8 @@ pub struct Config {
     /// that is longer) both of what was last heard of the motor and of the command. If a drive answers twice, and the
     /// second answer comes later than that after the next command, it is believed.
     ///
-    /// If the clock's steps are longer than this, it must be 0. Then none of this applies: an answer within the same
-    /// clock step as its command is in time.
+    /// If the clock's steps are longer than this, it must be 0: see [`for_clock_step`](Self::for_clock_step). Then none
+    /// of this applies: an answer within the same step as its command is in time.
     pub shortest_response: Duration,
     /// How long a reply takes at most when it need not wait for the bus, including what adapters and the steps of the
     /// clock add. If `reply_timeout` is shorter, that counts.
@@ -152,6 +152,30 @@ impl Config {
         Self { longest_reply_timeout: longest, ..self }
     }
 
+    /// The same for a clock that goes on in steps, such as the tick of 1 ms of a HAL or of an operating system. What it
+    /// shows as no time may have been a step: `shortest_response` becomes shorter by that, and `longest_response` longer.
+    ///
+    /// Each lost reply is waited for longer by some steps, and the measured round trips are as coarse as the clock.
+    ///
+    /// ```
+    /// use myactuator_protocol_core::master::Config;
+    /// use myactuator_protocol_core::time::Duration;
+    ///
+    /// let config = Config::CAN.for_clock_step(Duration::from_millis(1));
+    /// assert_eq!(config.shortest_response, Duration::ZERO);
+    /// ```
+    #[must_use]
+    pub const fn for_clock_step(self, step: Duration) -> Self {
+        let step_us = step.as_micros();
+        let shortest_us = self.shortest_response.as_micros().saturating_sub(step_us);
+        let longest_us = self.longest_response.as_micros().saturating_add(step_us);
+        Self {
+            shortest_response: Duration::from_micros(shortest_us),
+            longest_response: Duration::from_micros(longest_us),
+            ..self
+        }
+    }
+
     pub(crate) const fn is_rs485(&self) -> bool {
         matches!(self.bus, Bus::Rs485 { .. })
     }
@@ -212,6 +236,17 @@ mod tests {
         assert_eq!(times(Config::rs485(115_200, false)), [7_258, 12_258, 0, 1_129]);
         assert_eq!(times(Config::rs485(1_000_000, false)), [5_262, 10_262, 0, 131]);
         assert_eq!(times(Config::rs485(0, true)), times(Config::rs485(115_200, false)));
+    }
+
+    #[test]
+    fn a_clock_step_is_taken_from_the_shortest_response_and_added_to_the_longest() {
+        let responses = |step_us| {
+            let config = Config::CAN.for_clock_step(Duration::from_micros(step_us));
+            [config.shortest_response, config.longest_response].map(Duration::as_micros)
+        };
+        assert_eq!(responses(0), [272, 2_000]);
+        assert_eq!(responses(30), [242, 2_030]);
+        assert_eq!(responses(1_000), [0, 3_000]);
     }
 
     #[test]

@@ -118,7 +118,8 @@
 //! Lost feedback of a stream costs hardly more than its own set-point. The motor's next one goes when the feedback
 //! counts as lost: when nobody waits for it any more, and after [`Config::longest_response`] or, if they are longer,
 //! three of the motor's usual round trips. At 1 Mbit/s eight motors that lose 5 % each get more than 470 answers a
-//! second instead of 520. The third loss in a row, and each after it, is waited for as long as any other reply.
+//! second instead of 520. The third loss in a row, and each after it, is waited for as long as any other reply. A coarse
+//! clock, and an adapter that delivers in bursts, make each loss dearer by some steps or bursts.
 //!
 //! On RS485 there is one exchange at a time, and each command to a silent motor occupies the line for
 //! [`Config::reply_timeout`]. Frames that nobody asked for keep no command off the line.

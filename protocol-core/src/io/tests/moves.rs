@@ -27,9 +27,9 @@ fn go_on(_: &MoveProgress) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// A motor with an error holds nothing where it is.
+/// A motor with an error holds nothing where it is; its brake may.
 #[test]
-fn motor_with_an_error_at_its_target_has_not_arrived() {
+fn motor_with_an_error_at_its_target_has_not_arrived_and_its_brake_is_locked() {
     let command =
         AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
     let limits = MoveLimits::default();
@@ -43,12 +43,14 @@ fn motor_with_an_error_at_its_target_has_not_arrived() {
             0x9A if !is_one_more(&mut well) => data[6] = 0x04,
             _ => {}
         };
-        let (_, mut arm) = says(says_so);
+        let (bus, mut arm) = says(says_so);
         let polled = bring_up::move_to(&mut arm, id(1), command, &limits, go_on);
         let (_, _, mut arm) = on_can(|bus, clock, config| {
             AsyncCanMaster::<_, _, 4>::new(Says::new(bus, says_so), clock, config)
         });
         let awaited = block_on(move_to(&mut arm, id(1), command, &limits, go_on));
+        let sent = bus.sent().into_iter().map(|data| data[0]).collect::<Vec<_>>();
+        assert!(sent.ends_with(&[0x81, 0x78]), "{sent:02X?}");
         for moved in [polled, awaited] {
             let why = moved.map_err(|it| (it.why, it.is_stopped));
             let fault = MoveFailure::Fault(ErrorFlags::UNDER_VOLTAGE);
