@@ -610,3 +610,19 @@ fn silent_motor_gets_the_time_to_lock_its_brake_before_a_restart() {
     let next = times.iter().find(|(byte, at)| *byte == 0x76 && *at > last).unwrap().1;
     assert!(next - last >= BRAKE_MOVES, "{:?}", next - last);
 }
+
+/// Its drive says that it is open until then.
+#[test]
+fn brake_has_its_time_to_lock() {
+    let mut looks = None;
+    let (bus, mut arm) = holding(move |data, _| match (data[0], &mut looks) {
+        (0x78, _) => looks = Some(0),
+        (0x9A, Some(looks)) => {
+            data[3] = if *looks < 5 { OPEN } else { LOCKED };
+            *looks += 1;
+        }
+        _ => {}
+    });
+    assert_eq!(bring_up::lock_brake(&mut arm, id(1)), Ok(()));
+    assert_eq!(commanded(&bus), [0x78]);
+}

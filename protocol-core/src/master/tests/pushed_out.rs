@@ -646,3 +646,27 @@ fn release_of_a_brake_handed_back_after_a_restart_fails_as_dropped() {
     let dropped = Event::Failed { ticket: release, failure: Failure::Dropped };
     assert_eq!(events(&mut master, ms(1)), [Event::Restarted { motor: id(1) }, dropped]);
 }
+
+#[test]
+fn handed_back_reset_that_was_withdrawn_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let ticket = ask(&mut master, 1, Reset, ms(0));
+    master.withdraw(ticket.id());
+    master.handle_pushed_out(&Reset.packet(id(1)));
+    let times = (0..5_000).step_by(10);
+    assert_eq!(times.map(|now| sent(&mut master, ms(now)).len()).sum::<usize>(), 0);
+}
+
+/// A set-point of motion mode may have any bytes.
+#[test]
+fn handed_back_set_point_with_the_bytes_of_a_request_is_no_request() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let set_point = RawMotion::decode(&ReadMultiTurnAngle.encode());
+    master.set_point(id(1), set_point, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [set_point.packet(id(1))]);
+    // It counts as lost, and the request is sent.
+    let _request = ask(&mut master, 1, ReadMultiTurnAngle, ms(21));
+    assert!(master.motor(id(1)).unwrap().request.in_flight().is_some());
+    master.handle_pushed_out(&set_point.packet(id(1)));
+    assert_eq!(sent(&mut master, ms(22)), []);
+}

@@ -722,3 +722,17 @@ fn broadcast_waits_for_a_late_answer_of_its_kind_during_another_stream() {
     let packets = sent(&mut master, ms(7));
     assert_eq!(packets, [packet_to(1, go.encode())]);
 }
+
+/// Each would wait for the other if the broadcast waited for it.
+#[test]
+fn a_request_of_its_kind_that_was_put_later_waits_for_the_broadcast() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _earlier = ask(&mut master, 1, ReadModel, ms(0));
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    let _later = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [], "the broadcast waits for the model");
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    let to_all =
+        Packet { channel: Channel::Command(Target::All), data: ReadMultiTurnAngle.encode() };
+    assert_eq!(sent(&mut master, ms(1)), [to_all]);
+}

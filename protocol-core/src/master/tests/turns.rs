@@ -375,6 +375,24 @@ fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
     assert_eq!(sent(&mut master, last + Duration::from_millis(1)).len(), 7);
 }
 
+/// What comes together was held back: it may have been on the bus long before, when the reply of motor 1 was not ready.
+#[test]
+fn replies_of_a_burst_do_not_show_that_no_more_urgent_one_waited() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let at = Instant::from_micros;
+    stream_to(&mut master, 1..=3, ms(0));
+    assert_eq!(sent(&mut master, ms(0)).len(), 3);
+    // The others may be two commands ahead of motor 1. Its reply is due 2 ms after its command.
+    for (burst, more) in [(1_000, 2), (2_300, 2), (3_100, 0)] {
+        feedback_of_all(&mut master, 2..=3, at(burst));
+        stream_to(&mut master, 2..=3, at(burst));
+        assert_eq!(sent(&mut master, at(burst)).len(), more, "{burst}");
+    }
+    // Three quarters of the longest pause, and three frames.
+    assert_eq!(sent(&mut master, at(3_100 + 975 + 407)), []);
+    assert_eq!(sent(&mut master, at(3_100 + 975 + 408)).len(), 2);
+}
+
 /// The bus is never quiet, and no reply loses arbitration to that of motor 8.
 #[test]
 fn a_reply_is_waited_for_by_others_for_the_usual_time_out_however_long_its_own_is() {
