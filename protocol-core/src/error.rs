@@ -97,6 +97,6 @@ pub enum RequestError {
     /// The motor was stopped, and the command [is refused](crate::Kind::is_refused_while_stopped) until the stop is
     /// lifted. A way of working on a bus that several callers share, such as the opening of a brake, is refused also if
     /// another caller has stopped the motor since it began, with no stop in force.
-    #[error("motion was stopped: lift the stop first, if one is in force")]
+    #[error("the motors were stopped: lift the stop first, if one is in force")]
     Stopped,
 }

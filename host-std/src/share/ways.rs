@@ -356,8 +356,8 @@ mod tests {
         let why = ended.unwrap_err();
         assert_eq!(
             why.to_string(),
-            "motor 1 has not arrived: motion was stopped: lift the stop first, if one is in force; it has confirmed \
-             the stop, which stays in force until it is lifted"
+            "motor 1 has not arrived: the motors were stopped: lift the stop first, if one is in force; it has \
+             confirmed the stop, which stays in force until it is lifted"
         );
         assert!(stands(&bus, id(1)));
     }
@@ -789,7 +789,7 @@ mod tests {
         assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap(), MotorSet::EMPTY);
         let log = fleet.world.log();
         let returned = bus.restart(id(1)).unwrap_err();
-        assert!(returned.to_string().contains("motion was stopped"), "{returned}");
+        assert!(returned.to_string().contains("the motors were stopped"), "{returned}");
         assert_eq!(sent(&log), [0_u8; 0]);
     }
 
@@ -806,7 +806,7 @@ mod tests {
             }
             assert_eq!(bus.stop(id(1), StopKind::Hold).unwrap(), MotorSet::EMPTY);
             let returned = restart.join().unwrap().unwrap_err();
-            assert!(returned.to_string().contains("motion was stopped"), "{returned}");
+            assert!(returned.to_string().contains("the motors were stopped"), "{returned}");
         });
         let sent = sent(&log);
         assert!(sent.contains(&0x81) && !sent.contains(&0x80), "{sent:02X?}");
