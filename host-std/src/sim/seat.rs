@@ -200,7 +200,7 @@ mod tests {
         for (late_us, answers) in [(0, 0), (1, 1), (2, 1)] {
             let (fleet, _log) = starting();
             let ended = Instant::from_micros(started.as_micros() - 1 + late_us);
-            fleet.world.run_until(Instant::ZERO + (ended - (Instant::ZERO + lasts)));
+            fleet.world.run_until(ended - lasts);
             let ends = ends(&fleet);
             assert_eq!(ends[0], ended.as_micros() * 1_000);
             assert_eq!(ends.len(), 1 + answers, "{late_us} us after the last deaf one");

@@ -44,8 +44,8 @@ impl<C: Clock + ?Sized> Clock for &C {
     }
 }
 
-/// A clock that can wake a task, for the async loops of [`io`](crate::io). What is said there of the steps of a
-/// [`Clock`] applies.
+/// A clock that can wake a task, for the async loops of [`io`](crate::io). As with every [`Clock`], the configuration
+/// has to say if its steps are coarse.
 ///
 /// With embassy, `Timer::at` is all that is needed:
 ///
