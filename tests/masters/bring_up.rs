@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
 use myactuator_host_std::sim::{BusFleet, Fleet, MotorSetup};
@@ -13,7 +14,7 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
-use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::io::{CallError, Runner, SerialMaster};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
@@ -37,6 +38,7 @@ on_both_buses! {
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     an_id_is_not_written_to_motors_that_are_not_understood
+    an_id_that_motors_share_is_not_given_to_another
     refused_write_to_a_stopped_motor_leaves_it_holding
     a_motor_that_turns_gets_neither_a_zero_nor_another_id
     a_stopped_motor_is_waited_for_until_it_stands
@@ -247,6 +249,33 @@ fn an_id_is_not_written_to_motors_that_are_not_understood<W: Wire>() {
     assert_eq!(stored, [id(1); 2]);
 }
 
+fn an_id_that_motors_share_is_not_given_to_another<W: Wire>() {
+    let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number))));
+    // Two of them answer at the same time, one after the other, or in between.
+    for latest in [1, 2, 4] {
+        let bus = W::drives(&fleet.clone().response(millis(1), millis(latest))).unwrap();
+        let refused = bring_up::change_id(&mut master(&bus), id(3), id(1));
+        let expected = [BringUpError::IdShared(id(1)), BringUpError::IdTaken(id(1))];
+        assert!(refused.is_err_and(|error| expected.contains(&error)), "{latest}");
+        assert_eq!(bus.drives[2].with(|drive| drive.stored_settings().id), id(3), "{latest}");
+    }
+}
+
+/// Noise with each frame is no sign of motors that answer at the same time.
+#[test]
+fn a_noisy_line_has_no_shared_ids() {
+    for number in [1, 5] {
+        let bus = Fleet::new(1).on_rs485(115_200).unwrap();
+        let noisy = TransceiverConfig { switch_noise: 1.0, ..TransceiverConfig::default() };
+        let (port, config) = (bus.world.port_with(noisy), Config::rs485(115_200, false));
+        let runner = &mut SerialMaster::<_, _, 8>::new(port, bus.world.clock(), config);
+        let changed = bring_up::change_id(runner, id(number), id(9));
+        let expected = if number == 1 { Ok(()) } else { Err(BringUpError::NotThere(id(number))) };
+        assert_eq!(changed, expected);
+        assert!(runner.garbled() > 10);
+    }
+}
+
 fn refused_write_to_a_stopped_motor_leaves_it_holding<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
@@ -340,9 +369,7 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
     assert!([MotorSet::EMPTY, ids([1])].contains(&found), "{found:?}");
     assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     let refused = bring_up::change_id(runner, id(1), id(9));
-    // On a line both answer at the same time, and neither is understood.
-    let none = Err(BringUpError::NotThere(id(1)));
-    assert!(refused == Err(BringUpError::IdShared(id(1))) || refused == none, "{refused:?}");
+    assert_eq!(refused, Err(BringUpError::IdShared(id(1))));
     for drive in &bus.drives {
         assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1), "nothing was changed");
     }

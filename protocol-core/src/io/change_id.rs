@@ -43,14 +43,19 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     let (mut there, garbled) = (MotorSet::EMPTY, runner.master().garbled());
     find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
+    let is_clean = |runner: &mut R| runner.master().garbled() == garbled;
     if !there.contains(from) {
-        return Err(BringUpError::NotThere(from));
+        let is_shared = !is_clean(runner) && collide(runner, from, to).await?;
+        return Err(if is_shared { BringUpError::IdShared } else { BringUpError::NotThere }(from));
     }
     if from == to {
         return Ok(());
     }
     if there.contains(to) {
         return Err(BringUpError::IdTaken(to));
+    }
+    if !is_clean(runner) && collide(runner, to, from).await? {
+        return Err(BringUpError::IdShared(to));
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
     runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
@@ -61,10 +66,29 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     switch_off(runner, from).await?;
-    // Motors with one id answer at the same time on a line, so that none of them is understood. Others may be out.
-    let is_alone =
-        there.with(runner.master().motors()) == from.into() && runner.master().garbled() == garbled;
+    // Motors that nobody understands may be others. Known ones may be out.
+    let is_alone = there.with(runner.master().motors()) == from.into() && is_clean(runner);
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
+}
+
+/// Whether motors with one id answer at the same time on a line, so that none of them is understood. Noise would come
+/// with the other id's answer, or in its place, as well.
+async fn collide<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+    other: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    Ok(is_garbled(runner, id).await? && !is_garbled(runner, other).await?)
+}
+
+/// Whether anything comes that is no frame when this id is asked.
+async fn is_garbled<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    let garbled = runner.master().garbled();
+    is_there(runner, id).await?;
+    Ok(runner.master().garbled() != garbled)
 }
 
 /// Writes the id and puts it into force.
