@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::{self, Trouble};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Data, MotorId, time};
 
@@ -125,9 +126,7 @@ impl<E> Desk<E> {
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         state.check(motor, command.kind, None)?;
-        if state.news_since.is_some_and(|since| since.elapsed() > state.longest_round) {
-            return Err(SharedBusError::Held);
-        }
+        state.check_taken_up()?;
         let slot = state.slot(motor);
         if let Some(refusal) = slot.refusal.take() {
             return Err(SharedBusError::Refused { motor, refusal });
@@ -217,6 +216,26 @@ impl<E> Desk<E> {
         subscription
     }
 
+    /// The loop of a watch looks. The first look lays the watch down, and sets its key.
+    pub(super) fn look(
+        &self,
+        key: &mut Option<u64>,
+        watch: &io::Watch,
+    ) -> Result<Result<(), Trouble>, SharedBusError<E>> {
+        let mut state = self.lock();
+        if !matches!(state.life, Life::Running) {
+            return Err(state.last_words());
+        }
+        state.check_taken_up()?;
+        let found = state.watched(key, watch).is_looked_at();
+        self.leave(state);
+        Ok(found)
+    }
+
+    pub(super) fn end_watch(&self, key: u64) {
+        self.lock().watches.retain(|watched| watched.key != key);
+    }
+
     /// The last handle was dropped.
     pub(super) fn close(&self) {
         let mut state = self.lock();
@@ -302,6 +321,7 @@ impl<E> Desk<E> {
         let state = &mut *guard;
         (state.is_idle, state.news_since) = (false, None);
         state.rounds += 1;
+        state.look_after_loops(clerk);
         state.hand_over_orders(clerk);
         state.hand_over_set_points(clerk);
         // Questions to one motor keep their order.
@@ -348,6 +368,11 @@ impl<E> Desk<E> {
     /// The master says that a motor has restarted.
     pub(super) fn has_restarted(&self, motor: MotorId) {
         self.lock().has_restarted(motor);
+    }
+
+    /// Hands an event to all watches.
+    pub(super) fn note(&self, event: &Event) {
+        self.lock().watches.iter_mut().for_each(|watched| watched.note(event));
     }
 
     /// Hands an event to all subscribers.

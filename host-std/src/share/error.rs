@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::Trouble;
 use myactuator_protocol_core::master::Failure;
 
 use crate::open::BusError;
@@ -65,5 +66,24 @@ impl<E: fmt::Debug> fmt::Debug for SharedBusError<E> {
             Self::Bus(error) => error.fmt(f),
             other => fmt::Display::fmt(other, f),
         }
+    }
+}
+
+/// Why a control loop over handles has ended, as [`io::LoopError`](myactuator_protocol_core::io::LoopError) is for a
+/// loop over a master. Both kinds of errors become one by `?`.
+#[derive(thiserror::Error)]
+pub enum LoopError<E: fmt::Debug + 'static = BusError> {
+    /// What a [`Watch`](super::Watch) has found.
+    #[error(transparent)]
+    Trouble(#[from] Trouble),
+    /// A call has no answer.
+    #[error(transparent)]
+    Call(#[from] SharedBusError<E>),
+}
+
+/// The same sentence as `Display`.
+impl<E: fmt::Debug> fmt::Debug for LoopError<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
     }
 }

@@ -71,19 +71,9 @@
 //! ```
 //!
 //! # A control loop in a thread
-//! A [`Watch`](myactuator_protocol_core::io::Watch) needs the master, and a handle has none. So a loop over handles has
-//! to look for what a watch would find: a set-point is accepted also for a motor that is cut off, or that has cut its
-//! output because of an error. Before each cycle end the loop, through its [`Guard`], if for any motor
-//!
-//! - [`latest`](SharedBus::latest) is older than 100 ms or so;
-//! - a [subscription](SharedBus::subscribe) has had
-//!   [`Restarted`](myactuator_protocol_core::master::Event::Restarted),
-//!   [`LostMaster`](myactuator_protocol_core::master::Event::LostMaster), or a
-//!   [`Report`](myactuator_protocol_core::master::Event::Report) of errors;
-//! - a thread that asks all motors for
-//!   [`ReadStatus1`](myactuator_protocol_core::command::ReadStatus1) and
-//!   [`ReadRunTime`](myactuator_protocol_core::command::ReadRunTime), several times a second, has found an error or has
-//!   no answer. With the run times the bus finds restarts.
+//! Leave it through a [`Guard`], and have a [`Watch`] look in each cycle, as with a loop without threads: a set-point is
+//! accepted also for a motor that is cut off, or that has cut its output because of an error. The watch also has the
+//! thread of the bus stop the motors if the loop hangs.
 //!
 //! A command of another thread ends the loop, too, if it is of the kind that the motor is streamed: until it is
 //! answered, the motor's set-points are refused as
@@ -130,11 +120,13 @@ mod state;
 mod subscription;
 #[cfg(test)]
 mod tests;
+mod watch;
 mod ways;
 mod worker;
 
-pub use error::SharedBusError;
+pub use error::{LoopError, SharedBusError};
 pub use guard::{Guard, Guards};
 pub use shared_bus::{SharedBus, Stopping, WeakBus};
 pub use state::Latest;
 pub use subscription::Subscription;
+pub use watch::Watch;

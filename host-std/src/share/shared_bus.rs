@@ -12,7 +12,7 @@ use myactuator_protocol_core::{Command, Data, MotorId};
 use super::calls::{Awaited, Insistence, Order, Untyped};
 use super::desk::Desk;
 use super::state::{Latest, Past};
-use super::{SharedBusError, Subscription, worker};
+use super::{SharedBusError, Subscription, Watch, worker};
 use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 
 /// As many motors as the protocol has ids for.
@@ -369,6 +369,11 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// yet. Does not wait.
     pub fn latest(&self, motor: MotorId) -> Option<Latest> {
         self.desk().latest(motor)
+    }
+
+    /// Watches these motors, which a loop of this thread moves, and that loop. See [`Watch`].
+    pub fn watch(&self, motors: MotorSet) -> Watch<E> {
+        Watch::new(Arc::clone(&self.0.desk), motors)
     }
 
     /// Subscribes to all events of the bus from now on. Up to `room` events wait (at least one). Events that come while

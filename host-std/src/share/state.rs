@@ -6,12 +6,14 @@ use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io;
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
 use super::SharedBusError;
-use super::calls::{Order, Question, Untyped};
+use super::calls::{Order, Question, Untyped, Waiting};
 use super::subscription::Subscriber;
+use super::watch::Watched;
 
 const LONGEST_ROUND: Duration = Duration::from_secs(2);
 
@@ -97,6 +99,9 @@ pub(super) struct State<E> {
     /// An error that no caller has got yet.
     pub(super) error: Option<Arc<E>>,
     pub(super) subscribers: Vec<Subscriber>,
+    pub(super) watches: Vec<Watched>,
+    /// The key of the newest watch.
+    last_watch: u64,
     /// How often the thread has taken up what is here.
     pub(super) rounds: u64,
     /// The thread takes up sooner what is laid down, also if it idles; if not, its driver holds it.
@@ -137,6 +142,9 @@ pub(super) trait Clerk<E> {
     /// Puts a question.
     fn put(&mut self, question: Question<E>) -> Put<E>;
 
+    /// Looks at what is watched. If its loop is late, returns how all motors are to be stopped.
+    fn watch(&mut self, watched: &mut Watched) -> Option<StopKind>;
+
     /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus.
     fn keep_alive(&mut self, is_any_at_work: bool);
 }
@@ -157,6 +165,8 @@ impl<E> State<E> {
             outage: None,
             error: None,
             subscribers: Vec::new(),
+            watches: Vec::new(),
+            last_watch: 0,
             rounds: 0,
             longest_round: LONGEST_ROUND,
             news_since: None,
@@ -250,6 +260,35 @@ impl<E> State<E> {
     pub(super) fn waits_for_hold(&self, motor: MotorId, kind: Kind) -> bool {
         let is_opening = self.slots[motor.index()].opening > 0;
         is_opening && !kind.ends_motion() && kind != Opcode::ReleaseBrake.into()
+    }
+
+    /// Fails if the thread has taken up nothing for too long: then its driver holds it.
+    pub(super) fn check_taken_up(&self) -> Result<(), SharedBusError<E>> {
+        match self.news_since {
+            Some(since) if since.elapsed() > self.longest_round => Err(SharedBusError::Held),
+            _ => Ok(()),
+        }
+    }
+
+    /// The watch with this key; one that has none begins.
+    pub(super) fn watched(&mut self, key: &mut Option<u64>, watch: &io::Watch) -> &mut Watched {
+        let key = *key.get_or_insert_with(|| {
+            self.last_watch += 1;
+            self.watches.push(Watched::new(self.last_watch, watch));
+            self.last_watch
+        });
+        let place = self.watches.iter().position(|watched| watched.key == key);
+        &mut self.watches[place.expect("it is there until its handle is dropped")]
+    }
+
+    /// Has the clerk look at what is watched, and stops all motors if a loop is late.
+    pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
+        let stops = self.watches.iter_mut().filter_map(|watched| clerk.watch(watched));
+        if let Some(kind) = stops.last() {
+            let (answer, _nobody_waits) = Waiting::new();
+            // It is refused only by a bus that has panicked.
+            let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, answer });
+        }
     }
 
     /// Hands the clerk the orders.

@@ -1,6 +1,7 @@
 //! Threads on one bus of simulated drives, in real time.
 
 mod desk;
+mod watch;
 
 use std::fmt::{Debug, Display};
 use std::sync::atomic::{AtomicU32, Ordering};

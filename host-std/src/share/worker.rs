@@ -15,6 +15,7 @@ use super::SharedBusError;
 use super::calls::{Answer, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
 use super::state::{Clerk, Put};
+use super::watch::Watched;
 use crate::open::since_boot;
 
 /// How long a thread idles if nothing can wake it.
@@ -35,6 +36,8 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         moved: MotorSet::EMPTY,
         waiting: Vec::new(),
         turn_ends: None,
+        at_end: kind,
+        late_after: None,
         taken_at: now,
         looked_at: now,
         has_failed: false,
@@ -90,6 +93,10 @@ struct Worker<R: Runner<N>, const N: usize> {
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
     turn_ends: Option<Instant>,
+    /// How motors are stopped when nobody says how.
+    at_end: StopKind,
+    /// Until when the first loop that is watched has to look.
+    late_after: Option<Instant>,
     /// When the desk was last taken up: what is there now is no older.
     taken_at: Instant,
     /// When that ended, or the idling after it.
@@ -121,7 +128,7 @@ struct Stopping<E> {
 impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// One round of the bus. False when it is time to end.
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
-        self.turn_ends = None;
+        (self.turn_ends, self.late_after) = (None, None);
         self.withdraw_what_was_given_up();
         let taken_at = self.runner.now();
         let goes_on = desk.take(self);
@@ -172,6 +179,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             }
             _ => {}
         }
+        desk.note(event);
         let now = self.runner.now();
         if self.keep_alive.as_mut().is_some_and(|it| it.takes(event, now)) {
             return;
@@ -241,7 +249,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
         let of_others = self.keep_alive.map(|_| look_again);
         let waits = self.waiting.iter().map(|(until, _)| *until);
-        waits.chain(of_others).chain(self.turn_ends).min()
+        // It is late a moment after that.
+        let late_at = self.late_after.map(|time| time + Duration::from_micros(1));
+        waits.chain(of_others).chain(self.turn_ends).chain(late_at).min()
     }
 
     fn idle(&mut self, desk: &Desk<R::Error>) {
@@ -324,6 +334,13 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 let _ = master.forget(motor);
             }
         }
+    }
+
+    fn watch(&mut self, watched: &mut Watched) -> Option<StopKind> {
+        let now = self.runner.now();
+        let is_late = watched.look(self.runner.master(), now);
+        self.late_after = self.late_after.into_iter().chain(watched.late_after()).min();
+        is_late.then_some(self.at_end)
     }
 
     fn keep_alive(&mut self, is_any_at_work: bool) {

@@ -132,6 +132,12 @@ impl Watch {
         }
     }
 
+    /// This watch, begun anew: for a loop that goes on after a stop.
+    #[must_use]
+    pub const fn anew(&self, now: Instant) -> Self {
+        Self::new(self.motors, now).longest_silence(self.longest_silence).ask_every(self.ask_every)
+    }
+
     /// How long a motor may give no feedback, and the loop may be held up; 100 ms unless said otherwise.
     ///
     /// On CAN at 1 Mbit/s that outlasts a few lost frames: a lost frame keeps the next one back for up to the
@@ -156,6 +162,13 @@ impl Watch {
         self
     }
 
+    /// Until when the loop has to look next. Then a thread, a task or an interrupt that finds the loop late may stop the
+    /// motors, which the loop cannot.
+    #[must_use]
+    pub fn late_after(&self) -> Instant {
+        self.looked + self.longest_silence
+    }
+
     /// Reports what is wrong, and asks the next question when it is due. Call it once a cycle, after the events of the
     /// last cycle were [noted](Self::note), and before you ask anything yourself: a motor that is busy is not asked.
     ///
@@ -169,8 +182,9 @@ impl Watch {
         if let Some(trouble) = self.trouble.take() {
             return Err(trouble);
         }
+        let is_late = now > self.late_after();
         let held_up = now - core::mem::replace(&mut self.looked, now);
-        if held_up > self.longest_silence {
+        if is_late {
             return Err(Trouble::Late(held_up));
         }
         for motor in self.motors.iter() {

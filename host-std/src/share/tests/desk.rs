@@ -1,11 +1,13 @@
 //! What lies on the desk, in which order it is taken up, and what a stop or a restart takes away.
 
 use myactuator_protocol_core::command::{LockBrake, Reset};
+use myactuator_protocol_core::io::Watch;
 
 use super::*;
 use crate::share::calls::{Awaited, Insistence, Order, Question, Untyped};
 use crate::share::desk::Desk;
 use crate::share::state::{Clerk, Put};
+use crate::share::watch::Watched;
 
 /// Notes what it gets; is busy with questions, or answers them at once. Refuses what moves motor 3.
 #[derive(Default)]
@@ -15,6 +17,8 @@ struct Notes {
     bytes: Vec<(u8, u8)>,
     takes_questions: bool,
     looked_at: Instant,
+    /// How all motors are stopped because a watched loop is late.
+    late: Option<StopKind>,
     /// Of the last set-point.
     found_at: Option<Instant>,
 }
@@ -49,6 +53,10 @@ impl Clerk<CanError> for Notes {
     }
 
     fn keep_alive(&mut self, _: bool) {}
+
+    fn watch(&mut self, _: &mut Watched) -> Option<StopKind> {
+        self.late
+    }
 
     fn put(&mut self, question: Question<CanError>) -> Put<CanError> {
         self.noted.push(format!("{}?", question.motor));
@@ -535,4 +543,17 @@ fn restart_reported_while_its_resumption_waits_blocks_nothing() {
     desk.has_restarted(id(1));
     assert_eq!(taken(&desk), ["resume 1"]);
     assert!(desk.set_point(id(1), Untyped::of(&turn(1.0))).is_ok());
+}
+
+#[test]
+fn a_loop_that_is_late_drops_what_it_has_laid_down() {
+    let desk = new_desk();
+    let mut key = None;
+    desk.look(&mut key, &Watch::new(id(1).into(), Instant::ZERO)).unwrap().unwrap();
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let mut notes = Notes { late: Some(StopKind::Hold), ..Notes::default() };
+    desk.take(&mut notes);
+    assert_eq!(notes.noted, ["stop all"]);
+    let refused = desk.set_point(id(1), Untyped::of(&turn(2.0))).unwrap_err();
+    tells(&refused, 1, RequestError::Stopped);
 }

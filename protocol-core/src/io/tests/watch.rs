@@ -317,3 +317,25 @@ fn watch_over_no_motor_asks_nothing() {
     assert_eq!(bench.look(ms(50)), Ok(()));
     assert_eq!(bench.sent(ms(50)), []);
 }
+
+#[test]
+fn a_watch_says_until_when_its_loop_has_to_look_and_begins_anew_as_it_was() {
+    let limits = (Duration::from_millis(30), Duration::from_millis(7));
+    let mut bench = Bench::new();
+    bench.watch = bench.watch.longest_silence(limits.0).ask_every(limits.1);
+    assert_eq!(bench.watch.late_after(), ms(30));
+    assert_eq!(bench.look(ms(20)), Ok(()));
+    assert_eq!(bench.watch.late_after(), ms(50));
+    assert_eq!(bench.look(ms(51)), Err(Trouble::Late(Duration::from_millis(31))));
+    // Both motors were silent for too long then, if it had not begun anew.
+    bench = Bench { master: Master::new(Config::CAN), watch: bench.watch.anew(ms(205)) };
+    assert_eq!(bench.watch.late_after(), ms(235));
+    // The next question is due 7 ms after the last.
+    assert_eq!(bench.look(ms(210)), Ok(()));
+    assert_eq!(bench.sent(ms(210)), [(1, 0x9A)]);
+    bench.hear(1, HEALTHY, ms(211));
+    assert_eq!(bench.look(ms(216)), Ok(()));
+    assert_eq!(bench.sent(ms(216)), []);
+    assert_eq!(bench.look(ms(217)), Ok(()));
+    assert_eq!(bench.sent(ms(217)), [(2, 0x9A)]);
+}

@@ -1,0 +1,161 @@
+//! A loop over handles that is watched.
+
+use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::io::{self, Trouble};
+
+use super::*;
+use crate::share::LoopError;
+use crate::share::watch::Watched;
+
+/// Longer than a busy machine keeps a thread from its work.
+const NEVER_LATE: Duration = Duration::from_secs(60);
+
+/// Turns a motor until the watch finds something, and returns that.
+fn loop_until_trouble(
+    bus: &SharedBus<CanError>,
+    longest_silence: Duration,
+    mut in_each_cycle: impl FnMut(u32),
+) -> LoopError<CanError> {
+    let mut watch = bus.watch(id(1).into()).longest_silence(longest_silence);
+    for cycle in 0..20_000 {
+        if let Err(found) = watch.look() {
+            return found;
+        }
+        // A set-point may be refused a moment before the watch says why.
+        let _ = bus.set_point(id(1), turn(90.0));
+        in_each_cycle(cycle);
+        thread::sleep(time::Duration::from_millis(1));
+    }
+    panic!("nothing was found")
+}
+
+#[test]
+fn a_loop_is_late_once_and_not_before_it_has_looked() {
+    let master = &mut Master::<1>::new(Config::CAN);
+    let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
+    let mut watched = Watched::new(1, &watch.longest_silence(Duration::from_millis(30)));
+    let mut is_late =
+        |watched: &mut Watched, at_ms| watched.look(master, Instant::from_millis(at_ms));
+    assert!(!is_late(&mut watched, 1_000), "it begins here");
+    assert_eq!(watched.is_looked_at(), Ok(()));
+    assert!(!is_late(&mut watched, 1_010));
+    assert_eq!(watched.late_after(), Some(Instant::from_millis(1_040)));
+    assert!(!is_late(&mut watched, 1_040));
+    assert!(is_late(&mut watched, 1_041));
+    for at_ms in [1_042, 2_000] {
+        assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
+        assert_eq!(watched.late_after(), None);
+        assert!(!is_late(&mut watched, at_ms), "it is stopped once");
+    }
+}
+
+#[test]
+fn the_motors_of_a_loop_that_hangs_are_stopped() {
+    let (fleet, bus) = shared(2);
+    bus.ask(id(2), turn(90.0)).unwrap();
+    let events = bus.subscribe(10_000);
+    let limit = Duration::from_millis(200);
+    let found = loop_until_trouble(&bus, limit, |cycle| {
+        if cycle == 20 {
+            // Until the stop is confirmed by both, this loop does nothing.
+            let hung = time::Instant::now();
+            let mut running = MotorSet::from([id(1), id(2)]);
+            while !running.is_empty() {
+                match events.try_next() {
+                    Some(Event::StopConfirmed { motor }) => running.remove(motor),
+                    Some(_) => {}
+                    None => thread::sleep(time::Duration::from_millis(1)),
+                }
+                assert!(hung.elapsed() < NOT_HELD, "nothing stops motors {running}");
+            }
+        }
+    });
+    let LoopError::Trouble(Trouble::Late(time)) = found else { panic!("{found}") };
+    assert!(time > limit, "{time}");
+    // It latches.
+    tells(&bus.set_point(id(1), turn(90.0)).unwrap_err(), 1, RequestError::Stopped);
+    assert!(fleet.drives.iter().all(|drive| drive.with(|drive| drive.state().output_on)), "held");
+    // The loop goes on with a new watch.
+    bus.lift_stop().unwrap();
+    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    for _ in 0..10 {
+        watch.look().unwrap();
+        bus.set_point(id(1), turn(90.0)).unwrap();
+        thread::sleep(time::Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn an_error_of_a_motor_that_goes_on_answering_ends_its_loop() {
+    let (fleet, bus) = shared(2);
+    let found = loop_until_trouble(&bus, NEVER_LATE, |cycle| {
+        if cycle == 50 {
+            fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        }
+    });
+    is_trouble(&found, Trouble::Errors { motor: id(1), errors: ErrorFlags::STALL });
+    // The watch itself stops nothing.
+    bus.set_point(id(2), turn(10.0)).unwrap();
+}
+
+#[test]
+fn a_restart_of_a_motor_that_goes_on_answering_ends_its_loop() {
+    let (fleet, bus) = shared(1);
+    // Its run time shows it, if it has run for longer than 250 ms before.
+    let found = loop_until_trouble(&bus, NEVER_LATE, |cycle| {
+        if cycle == 400 {
+            fleet.world.reset(fleet.drives[0].station());
+        }
+    });
+    is_trouble(&found, Trouble::Restarted(id(1)));
+}
+
+#[test]
+fn a_motor_that_falls_silent_ends_its_loop() {
+    let (fleet, bus) = shared(1);
+    let found = loop_until_trouble(&bus, Duration::from_millis(500), |cycle| {
+        if cycle == 50 {
+            fleet.world.cut(fleet.drives[0].station());
+        }
+    });
+    is_trouble(&found, Trouble::Silent(id(1)));
+}
+
+#[track_caller]
+fn is_trouble(found: &LoopError<CanError>, expected: Trouble) {
+    assert!(matches!(found, LoopError::Trouble(found) if *found == expected), "{found}");
+}
+
+#[test]
+fn a_watch_ends_when_it_is_dropped_and_before_its_first_look_it_has_not_begun() {
+    let (_fleet, bus) = shared(1);
+    let limit = Duration::from_millis(50);
+    let not_begun = bus.watch(id(1).into()).longest_silence(limit);
+    let mut dropped = bus.watch(id(1).into()).longest_silence(limit);
+    dropped.look().unwrap();
+    drop(dropped);
+    thread::sleep(time::Duration::from_millis(150));
+    bus.ask(id(1), turn(10.0)).unwrap();
+    assert!(bus.desk().lock().watches.is_empty());
+    drop(not_begun);
+}
+
+#[test]
+fn a_watch_says_that_its_bus_has_ended() {
+    let (_fleet, bus) = shared(1);
+    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    watch.look().unwrap();
+    drop(bus);
+    let ended = watch.look().unwrap_err();
+    assert!(matches!(ended, LoopError::Call(SharedBusError::Panicked(_))), "{ended}");
+}
+
+#[test]
+fn a_watch_says_that_its_bus_is_held() {
+    let (_fleet, bus) = shared(1);
+    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    bus.desk().lock().longest_round = time::Duration::ZERO;
+    bus.desk().lock().news_since = Some(time::Instant::now());
+    let held = watch.look().unwrap_err();
+    assert!(matches!(held, LoopError::Call(SharedBusError::Held)), "{held}");
+}
