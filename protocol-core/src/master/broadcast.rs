@@ -235,13 +235,13 @@ impl Broadcast {
         }
         self.last = MayUndo::by(kind, config);
         let may_be_cut = !config.is_rs485() && self.others.with(self.last) != MayUndo::default();
-        self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
+        self.on_its_way.put(now + config.reply_timeout, may_be_cut, config);
     }
 
     /// CAN: a stop to all was sent, which is due to be answered by then. Its answers are not counted here.
     pub(super) fn stop_was_sent(&mut self, stop: Kind, due: Instant, config: &Config) {
         self.others = self.others.with(MayUndo::by(stop, config));
-        self.on_its_way.put(due + config.late_window, true);
+        self.on_its_way.put(due, true, config);
     }
 
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {

@@ -2,6 +2,7 @@
 
 use crate::data::Data;
 use crate::kind::Kind;
+use crate::master::Config;
 use crate::packet::Packet;
 use crate::time::Instant;
 
@@ -83,15 +84,17 @@ const MOST_REPLIES: u8 = 2 * crate::master::stop::STOP_ATTEMPTS;
 pub(super) struct LateReplies([Option<Late>; QUESTIONS]);
 
 impl LateReplies {
-    /// This many replies to this question may come until `until`. Returns whether an entry made way whose command may
-    /// still move the motor.
+    /// This many replies to this question were due by then and may come late. Returns whether an entry made way whose
+    /// command may still move the motor.
     pub(super) fn expect(
         &mut self,
         question: Question,
         of: Of,
         replies: u8,
-        until: Instant,
+        due: Instant,
+        config: &Config,
     ) -> bool {
+        let until = due + config.late_window;
         if let Some(late) = self.of(question) {
             late.of = of;
             late.replies = late.replies.saturating_add(replies).min(MOST_REPLIES);
@@ -135,7 +138,7 @@ impl LateReplies {
 
     /// Whether the reply to this question could be one of these.
     pub(super) fn may_be_mistaken(&self, question: Question) -> bool {
-        self.end_of(question).is_some()
+        self.0.iter().flatten().any(|late| late.question == question)
     }
 
     pub(super) fn may_move(&self) -> bool {
@@ -145,9 +148,9 @@ impl LateReplies {
     /// A reply that may have been one of these was taken for the answer to another command. Which reply is still to
     /// come is not known, so one is expected for as long as that to the last command. Returns whether there is such an
     /// entry.
-    pub(super) fn prolong(&mut self, question: Question, until: Instant) -> bool {
+    pub(super) fn prolong(&mut self, question: Question, now: Instant, config: &Config) -> bool {
         let Some(late) = self.of(question) else { return false };
-        (late.until, late.of) = (late.until.max(until), Of::StreamAnswered);
+        (late.until, late.of) = (late.until.max(now + config.late_window), Of::StreamAnswered);
         true
     }
 
@@ -168,8 +171,9 @@ impl LateReplies {
         could_move
     }
 
-    /// Nothing came while the bus was down: all of these are expected until then at least.
-    pub(super) fn extend(&mut self, until: Instant) {
+    /// All of these may have been due only by then.
+    pub(super) fn extend(&mut self, due: Instant, config: &Config) {
+        let until = due + config.late_window;
         for late in self.0.iter_mut().flatten() {
             late.until = late.until.max(until);
         }
@@ -183,10 +187,5 @@ impl LateReplies {
     /// This many of these are no longer late: the command that they answer goes on.
     pub(super) fn withdraw(&mut self, question: Question, replies: u8) {
         let _ = self.expect_fewer(replies, |asked| asked == question);
-    }
-
-    pub(super) fn end_of(&self, question: Question) -> Option<Instant> {
-        let mut all = self.0.iter().flatten();
-        all.find(|late| late.question == question).map(|late| late.until)
     }
 }

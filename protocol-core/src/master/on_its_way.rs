@@ -19,9 +19,10 @@ pub(super) enum OnItsWay {
 }
 
 impl OnItsWay {
-    /// Something more may arrive until then, or, if the bus may be cut, for as long as it is.
+    /// Something more was due by then, and may arrive later or, if the bus may be cut, for as long as it is.
     #[inline(never)]
-    pub(super) fn put(&mut self, until: Instant, may_be_cut: bool) {
+    pub(super) fn put(&mut self, due: Instant, may_be_cut: bool, config: &Config) {
+        let until = due + config.late_window;
         let until = self.end_on_whole_bus().map_or(until, |at| at.max(until));
         *self = if may_be_cut { Self::WhileCut(until) } else { Self::Until(until) };
     }
@@ -46,10 +47,10 @@ impl OnItsWay {
         }
     }
 
-    /// It may not have left before now, and arrives later.
-    pub(super) fn extend(&mut self, now: Instant, config: &Config) {
+    /// It may have been due only by then.
+    pub(super) fn extend(&mut self, due: Instant, config: &Config) {
         if let Self::Until(at) | Self::WhileCut(at) = self {
-            *at = (now + config.late_window).max(*at);
+            *at = (due + config.late_window).max(*at);
         }
     }
 

@@ -26,7 +26,7 @@ impl Motor {
         if let OnItsWay::No = self.on_its_way {
             self.is_beyond_late = false;
         }
-        self.on_its_way.put(due + config.late_window, !config.is_rs485());
+        self.on_its_way.put(due, !config.is_rs485(), config);
     }
 
     /// What ends its motion was not answered: the bus may be cut, and may have been all the time.
@@ -51,8 +51,7 @@ impl Motor {
         config: &Config,
     ) {
         if replies > 0 {
-            let until = due + config.late_window;
-            self.is_beyond_late |= self.late.expect(question, of, replies, until);
+            self.is_beyond_late |= self.late.expect(question, of, replies, due, config);
             if question.kind.may_move() {
                 self.may_move_until_answered(due, config);
             }
@@ -80,7 +79,7 @@ impl Motor {
         if self.late.is_empty() {
             return false;
         }
-        let is_one_late = self.late.prolong(question, now + config.late_window);
+        let is_one_late = self.late.prolong(question, now, config);
         if is_one_late && !config.is_rs485() {
             self.may_move_until_answered(now, config);
         }

@@ -360,7 +360,7 @@ impl Motor {
         }
         // Only a stop is sent while something is in flight, which may still arrive. On RS485 it waits for that.
         if asked.is_stop() && !config.is_rs485() {
-            self.late.extend(due + config.late_window);
+            self.late.extend(due, config);
         }
         self.stop_set_point(due, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
@@ -421,7 +421,7 @@ impl Motor {
             }
         }
         self.drop_waiting_set_point();
-        self.late.extend(now + config.late_window);
+        self.late.extend(now, config);
         self.on_its_way.extend(now, config);
         if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
             self.finish_request(Request::Failed(Failure::BusDown), config, now);

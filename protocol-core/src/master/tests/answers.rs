@@ -576,11 +576,13 @@ fn late_replies_to_one_question_are_expected_until_the_latest_end() {
     use crate::master::late::{LateReplies, Of, Question};
     let question = Question::of(Kind::Known(Opcode::ReadModel), &ReadModel.encode());
     let mut late = LateReplies::default();
-    assert!(!late.expect(question, Of::Request, 1, ms(20)));
-    assert!(!late.expect(question, Of::RequestStopped, 1, ms(30)));
-    assert_eq!(late.end_of(question), Some(ms(30)));
-    late.expect(question, Of::RequestStopped, 1, ms(10));
-    assert_eq!(late.end_of(question), Some(ms(30)), "the longest counts");
+    let config = &Config::CAN;
+    assert!(!late.expect(question, Of::Request, 1, ms(20), config));
+    assert!(!late.expect(question, Of::RequestStopped, 1, ms(30), config));
+    let end = Some(ms(30) + config.late_window);
+    assert_eq!(late.next_end(), end);
+    late.expect(question, Of::RequestStopped, 1, ms(10), config);
+    assert_eq!(late.next_end(), end, "the longest counts");
     // Three of them, reported as the last was given up.
     for _ in 0..3 {
         let taken = late.take(&ReadModel.packet(id(1)), false);
@@ -726,7 +728,7 @@ fn read_displaced_from_the_late_replies_is_not_taken_for_a_move() {
     let opcodes =
         [Opcode::ReadModel, Opcode::ReadStatus1, Opcode::ReadRunTime, Opcode::ReadMultiTurnAngle];
     for opcode in opcodes {
-        assert!(!late.expect(read(opcode), Of::Request, 1, ms(20)), "{opcode:?}");
+        assert!(!late.expect(read(opcode), Of::Request, 1, ms(20), &Config::CAN), "{opcode:?}");
     }
 }
 
@@ -734,9 +736,9 @@ fn read_displaced_from_the_late_replies_is_not_taken_for_a_move() {
 fn later_frame_does_not_shorten_how_long_an_earlier_one_may_arrive() {
     use crate::master::on_its_way::OnItsWay;
     let mut on_its_way = OnItsWay::default();
-    on_its_way.put(ms(100), false);
-    on_its_way.put(ms(50), false);
-    assert_eq!(on_its_way.end(), Some(ms(100)));
+    on_its_way.put(ms(100), false, &Config::CAN);
+    on_its_way.put(ms(50), false, &Config::CAN);
+    assert_eq!(on_its_way.end(), Some(ms(100) + Config::CAN.late_window));
 }
 
 /// The time-out may grow to 40 ms, and nothing was measured before.
@@ -811,7 +813,7 @@ fn owed_answers_to_one_question_are_counted_up_to_thirty() {
     let stop = Question::without_key(Opcode::Stop.into());
     let mut late = LateReplies::default();
     for _ in 0..3 {
-        late.expect(stop, Of::Nobody, 15, ms(1));
+        late.expect(stop, Of::Nobody, 15, ms(1), &Config::CAN);
     }
     let is_one = |_: &u32| late.take(&Stop.packet(id(1)), false).is_some();
     assert_eq!((0..100).take_while(is_one).count(), 30);
