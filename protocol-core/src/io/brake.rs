@@ -41,7 +41,7 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     let before = insist(bus, motor, ReadStatus1).await?;
     if !before.errors.is_empty() {
         if before.brake != BrakeCommand::LOCK {
-            let _ = insist(bus, motor, LockBrake).await;
+            leave_to_brake(bus, motor).await;
         }
         return Err(BringUpError::Fault { motor, errors: before.errors });
     }
@@ -55,8 +55,7 @@ async fn open<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     open_and_hold(bus, motor).await?;
     let Some(fails) = fails_to_hold(bus, motor).await? else { return Ok(()) };
-    // Only the brake can hold the shaft now. The outcome of this changes nothing.
-    let _ = insist(bus, motor, LockBrake).await;
+    leave_to_brake(bus, motor).await;
     Err(fails)
 }
 
@@ -144,9 +143,8 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
                 if let CallError::Refused { refusal: RequestError::Stopped, .. }
                 | CallError::Failed { failure: Failure::Stopped, .. } = error
                 {
-                    // Somebody has switched the motor off meanwhile, or stops it again and again: only the brake can
-                    // hold.
-                    let _ = insist(&mut *opening.it, motor, LockBrake).await;
+                    // Somebody has switched the motor off meanwhile, or stops it again and again.
+                    leave_to_brake(&mut *opening.it, motor).await;
                 }
                 told = Err(error);
                 break;
@@ -299,6 +297,11 @@ async fn hold_again<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) ->
         ) => Some(false),
         Err(_) => None,
     }
+}
+
+/// Only the brake can hold the shaft now: it is told to lock. Whether it answers changes nothing else.
+pub(super) async fn leave_to_brake<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) {
+    let _ = insist(bus, motor, LockBrake).await;
 }
 
 /// Asks again for a while if no answer comes, whatever the reason: a load depends on what is done next.

@@ -3,12 +3,13 @@
 use core::ops::ControlFlow;
 
 use crate::command::{
-    AbsolutePosition, Command, ForcePosition, IncrementalPosition, LockBrake, ReadMultiTurnAngle,
-    ReadRunTime, ReadStatus1, ReadStatus2,
+    AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadRunTime,
+    ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
+use crate::io::brake::leave_to_brake;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
 use crate::io::outcome::{MoveFailure, MoveProgress, NotArrived};
@@ -164,8 +165,7 @@ pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
             let kind = kind_of_stop(moving.it);
             let is_stopped = moving.it.stop(motor, kind).await;
             if let MoveFailure::Fault(_) = why {
-                // Only the brake can hold the shaft now. The outcome of this changes nothing.
-                let _ = moving.it.ask(motor, LockBrake).await;
+                leave_to_brake(&mut *moving.it, motor).await;
             }
             Err(NotArrived { motor, why, is_stopped })
         }

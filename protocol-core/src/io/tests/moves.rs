@@ -229,6 +229,27 @@ fn brake_is_locked_although_the_bus_fails_once() {
     }
 }
 
+#[test]
+fn brake_of_a_moved_motor_is_locked_although_the_bus_fails_once() {
+    let mut looks = 0;
+    let says = move |data: &mut Data| {
+        if data[0] == 0x9A {
+            looks += 1;
+            data[6] = if looks > 1 { 0x04 } else { 0 };
+        }
+    };
+    let (bus, _, mut arm) = on_can(|bus, clock, config| {
+        let bus = FailsAt::new(Says::new(bus, says), 0x78, Fails::Refused);
+        CanMaster::<_, _, 4>::new(bus, clock, config)
+    });
+    let command =
+        AbsolutePosition { max_speed: MaxSpeed::from_raw(360), angle: Angle::from_raw(36_000) };
+    let failed = bring_up::move_to(&mut arm, id(1), command, &MoveLimits::default(), go_on);
+    let why = failed.map_err(|it| it.why);
+    assert_eq!(why, Err(MoveFailure::Fault(ErrorFlags::UNDER_VOLTAGE)));
+    assert_eq!(bus.sent().last().map(|data| data[0]), Some(0x78));
+}
+
 /// The error comes before the release: an open brake is locked, and a locked one left as it is.
 #[test]
 fn release_for_a_motor_with_an_error_locks_an_open_brake() {
