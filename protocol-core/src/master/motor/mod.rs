@@ -225,7 +225,7 @@ impl Motor {
     /// The request is not sent from now on: it fails for this reason if it waits.
     fn drop_request(&mut self, why: Failure, config: &Config, now: Instant) {
         match &mut self.request {
-            Request::Waiting(_) => self.finish_request(Request::Failed(why), config, now),
+            Request::Waiting(_) => self.request_has_failed(why, config, now),
             Request::InFlight(asked) | Request::Sent(asked) => asked.purpose = Purpose::Once,
             Request::None | Request::Failed(_) => {}
         }
@@ -389,26 +389,23 @@ impl Motor {
         }
     }
 
-    /// The request is over.
-    pub(super) fn finish_request(&mut self, outcome: Request, config: &Config, now: Instant) {
-        let of = match (outcome, self.request.under_way()) {
-            (Request::None, Some(asked)) => asked.of_others(),
-            _ => Of::Request,
-        };
+    /// The request is over; replies that come late belong to this.
+    pub(super) fn finish_request(&mut self, of: Of, config: &Config, now: Instant) {
         // If one of several sendings is answered, the newest may still be answered. For an old read that is not worth a
         // wait.
         let ends_motion = self.request.under_way().is_some_and(Asked::ends_motion);
         let last_chance = if ends_motion { self.last_chance(now) } else { now };
         self.give_request_up(of, config, last_chance);
-        self.request = outcome;
+        self.request = Request::None;
     }
 
     /// The request has no answer.
     pub(super) fn request_has_failed(&mut self, why: Failure, config: &Config, now: Instant) {
         let stop = self.request.under_way().copied().filter(Asked::is_stop);
-        self.finish_request(Request::Failed(why), config, now);
-        if let Some(stop) = stop {
-            self.stop_was_given_up(&stop, now);
+        self.finish_request(Of::Request, config, now);
+        match stop {
+            Some(stop) => self.stop_was_given_up(&stop, now),
+            None => self.request = Request::Failed(why),
         }
     }
 
@@ -424,7 +421,7 @@ impl Motor {
         self.late.extend(now, config);
         self.on_its_way.extend(now, config);
         if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
-            self.finish_request(Request::Failed(Failure::BusDown), config, now);
+            self.request_has_failed(Failure::BusDown, config, now);
         }
     }
 

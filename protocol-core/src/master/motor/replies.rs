@@ -275,7 +275,7 @@ impl Motor {
             self.note_motion_ended(kind);
             heard.to_all.note_motion_ended_of(motor);
         }
-        self.finish_request(Request::None, config, now);
+        self.finish_request(asked.of_others(), config, now);
         if asked.is_stop() {
             return Meaning::StopConfirmed(round_trip);
         }

@@ -168,7 +168,6 @@ impl Motor {
         let (sendings, since) = (stop.unanswered, now);
         let unconfirmed = |kind| LastStop::Unconfirmed { kind, sendings, since };
         self.last_stop = StopKind::by(stop.kind()).map(unconfirmed).unwrap_or_default();
-        self.request = Request::None;
     }
 
     /// It has answered this, which ends its motion.
