@@ -90,6 +90,7 @@ impl<const N: usize> Master<N> {
     fn handle_reply(&mut self, id: MotorId, packet: &Packet) -> Option<Event> {
         let now = self.now;
         let mut heard = Heard {
+            config: &self.config,
             from: id,
             packet,
             at: now,
@@ -97,8 +98,7 @@ impl<const N: usize> Master<N> {
             lost_master: &mut self.lost_master,
         };
         let meaning = self.places.of(id).and_then(|place| {
-            let take = |motor: &mut Motor| motor.take(&mut heard, &self.config);
-            self.places.change(&mut self.motors, place, take)
+            self.places.change(&mut self.motors, place, |motor| motor.take(&mut heard))
         });
         if !matches!(meaning, Some(Meaning::Feedback(..))) {
             self.due = now;

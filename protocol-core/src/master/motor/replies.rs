@@ -37,6 +37,7 @@ pub(crate) enum Meaning {
 
 /// A reply, and what the master knows of its motor.
 pub(crate) struct Heard<'a> {
+    pub(crate) config: &'a Config,
     pub(crate) from: MotorId,
     pub(crate) packet: &'a Packet,
     pub(crate) at: Instant,
@@ -67,8 +68,8 @@ impl Heard<'_> {
 }
 
 impl Motor {
-    pub(crate) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
-        let &mut Heard { packet, at: now, .. } = heard;
+    pub(crate) fn take(&mut self, heard: &mut Heard<'_>) -> Meaning {
+        let &mut Heard { config, packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
         let shortest = match config.shortest_response {
@@ -79,11 +80,11 @@ impl Motor {
         let answers = |question: Question| is_in_time && is_same(question);
         if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
-            return self.take_feedback(&set_point, heard, config);
+            return self.take_feedback(&set_point, heard);
         }
         if let Some(&asked) = self.request.answerable().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
-            return self.take_what_may_answer(asked, may_be_doubled, heard, config);
+            return self.take_what_may_answer(asked, may_be_doubled, heard);
         }
         // It came too soon after the last sending: it answers an earlier one, or a stop to all.
         let is_of_stop =
@@ -91,7 +92,7 @@ impl Motor {
         if self.request.in_flight().is_some_and(is_of_stop) {
             return Meaning::Nothing;
         }
-        self.take_what_answers_nothing(may_be_doubled, heard, config)
+        self.take_what_answers_nothing(may_be_doubled, heard)
     }
 
     /// A reply that matches this request, but may belong to something else.
@@ -100,14 +101,13 @@ impl Motor {
         asked: Asked,
         may_be_doubled: bool,
         heard: &mut Heard<'_>,
-        config: &Config,
     ) -> Meaning {
         // If the request waits to be sent again, this is the last answer doubled.
         if may_be_doubled && self.request.waiting().is_some() {
             return Meaning::Nothing;
         }
         if !asked.is_stop() {
-            return self.take_answer(asked, heard, config);
+            return self.take_answer(asked, heard);
         }
         // A reply that belongs to a broadcast or an earlier stop comes first, and says nothing about this one.
         if heard.may_answer_broadcast() {
@@ -115,24 +115,19 @@ impl Motor {
             return Meaning::OfBroadcast;
         }
         if self.take_late(heard.packet, may_be_doubled).is_none() {
-            return self.take_answer(asked, heard, config);
+            return self.take_answer(asked, heard);
         }
         // What may be the last reply doubled does not count: each would cause one more stop.
         if !may_be_doubled {
-            self.go_on_unconfirmed(asked, config);
+            self.go_on_unconfirmed(asked, heard.config);
         }
         Meaning::Nothing
     }
 
     /// A reply that matches nothing under way.
     #[inline(never)]
-    fn take_what_answers_nothing(
-        &mut self,
-        may_be_doubled: bool,
-        heard: &Heard<'_>,
-        config: &Config,
-    ) -> Meaning {
-        let &Heard { packet, at: now, .. } = heard;
+    fn take_what_answers_nothing(&mut self, may_be_doubled: bool, heard: &Heard<'_>) -> Meaning {
+        let &Heard { config, packet, .. } = heard;
         if heard.may_answer_broadcast() {
             // It looks like a late reply, and may not be one: that does not show that the move has arrived.
             self.is_beyond_late |= self.may_yet_move();
@@ -147,7 +142,7 @@ impl Motor {
             // known.
             Some(_) if heard.may_be_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => self.feedback(reply, Position::of(&reply), None, config, now),
+                Ok(reply) => self.feedback(reply, Position::of(&reply), None, heard),
                 Err(_) => Meaning::Late,
             },
         }
@@ -159,9 +154,9 @@ impl Motor {
         reply: AnyReply,
         position: Option<Position>,
         round_trip: Option<Duration>,
-        config: &Config,
-        now: Instant,
+        heard: &Heard<'_>,
     ) -> Meaning {
+        let &Heard { config, at: now, .. } = heard;
         if let Some(position) = position {
             self.note_position(position, config, now);
         }
@@ -170,13 +165,8 @@ impl Motor {
     }
 
     /// A reply to the set-point in flight.
-    fn take_feedback(
-        &mut self,
-        set_point: &SetPoint,
-        heard: &mut Heard<'_>,
-        config: &Config,
-    ) -> Meaning {
-        let &mut Heard { packet, at: now, .. } = heard;
+    fn take_feedback(&mut self, set_point: &SetPoint, heard: &mut Heard<'_>) -> Meaning {
+        let &mut Heard { config, packet, at: now, .. } = heard;
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else {
             return Meaning::Unasked { is_doubled: false };
         };
@@ -200,7 +190,7 @@ impl Motor {
         self.answered(Some(round_trip));
         // An echo says nothing about the position, even if it is not known why it came.
         let position = Position::of(&reply).filter(|_| !is_echo);
-        let meaning = self.feedback(reply, position, Some(round_trip), config, now);
+        let meaning = self.feedback(reply, position, Some(round_trip), heard);
         // If it answers an earlier set-point it is hardly older, and a missed jump is worse than a false one.
         if let Some(position) =
             position.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES)
@@ -230,8 +220,8 @@ impl Motor {
     }
 
     /// A reply to the request in flight.
-    fn take_answer(&mut self, mut asked: Asked, heard: &mut Heard<'_>, config: &Config) -> Meaning {
-        let &mut Heard { from: motor, at: now, packet: &Packet { data, .. }, .. } = heard;
+    fn take_answer(&mut self, mut asked: Asked, heard: &mut Heard<'_>) -> Meaning {
+        let &mut Heard { config, from: motor, packet: &Packet { data, .. }, at: now, .. } = heard;
         asked.unanswered = asked.unanswered.saturating_sub(1);
         let is_in_flight = self.request.in_flight().is_some();
         self.request = Request::InFlight(asked);
