@@ -24,15 +24,15 @@ enum State {
     InFlight,
     /// It was sent and no motor is expected to answer; to be reported.
     Sent,
-    /// It is over; to be reported.
-    Done,
-    /// It was never sent; to be reported.
-    Dropped,
+    /// It is over, sent or not; to be reported.
+    Over,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Broadcast {
     state: State,
+    /// It was sent, and not handed back since.
+    is_sent: bool,
     kind: Option<Kind>,
     data: Data,
     /// The number of its ticket, which nobody gets.
@@ -124,7 +124,7 @@ impl Broadcast {
         self.kind = Some(kind);
         self.data = data;
         (self.silent, self.lost) = (expected, MotorSet::EMPTY);
-        self.state = State::Waiting;
+        (self.state, self.is_sent) = (State::Waiting, false);
     }
 
     pub(super) fn is_active(&self) -> bool {
@@ -176,8 +176,7 @@ impl Broadcast {
     pub(super) fn cancel(&mut self) {
         self.state = match self.state {
             State::None | State::Again => State::None,
-            State::Waiting | State::Dropped => State::Dropped,
-            State::InFlight | State::Sent | State::Done => State::Done,
+            State::Waiting | State::InFlight | State::Sent | State::Over => State::Over,
         };
     }
 
@@ -224,7 +223,7 @@ impl Broadcast {
             _ if awaits_reply => State::InFlight,
             _ => State::Sent,
         };
-        (self.sent, self.sent_byte) = (now, self.data[0]);
+        (self.is_sent, self.sent, self.sent_byte) = (true, now, self.data[0]);
         self.may_answer = all_if(kind.has_reply());
         self.may_be_unnamed |= kind.may_move();
         self.others = self.others.with(self.last);
@@ -313,7 +312,7 @@ impl Broadcast {
         if answers {
             self.silent.remove(motor);
             if self.silent.is_empty() {
-                self.state = State::Done;
+                self.state = State::Over;
             }
         }
         (is_owed || answers).then_some(answers)
@@ -333,9 +332,9 @@ impl Broadcast {
         self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
-    /// Whether it was not sent, or was handed back: a frame that is handed back now only looks like it.
-    pub(super) fn is_unsent(&self) -> bool {
-        matches!(self.state, State::Waiting | State::Again | State::Dropped)
+    /// Whether this frame, which is handed back, may be it. If it was not sent, the frame only looks like it.
+    pub(super) fn may_be(&self, packet: &Packet) -> bool {
+        self.is_sent && self.packet().as_ref() == Some(packet)
     }
 
     /// A controller has handed it back: it was never on the bus, and moves no motor. Returns the motors whose answer
@@ -344,10 +343,11 @@ impl Broadcast {
         // No motor has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
+        self.is_sent = false;
         self.state = match self.state {
-            // It was ended for another reason.
-            State::Done if !self.kind.is_some_and(Kind::ends_motion) => State::Dropped,
-            State::InFlight | State::Sent | State::Done => State::Waiting,
+            State::InFlight | State::Sent => State::Waiting,
+            // What ends motion goes all the same. Anything else was ended for another reason.
+            State::Over if self.kind.is_some_and(Kind::ends_motion) => State::Waiting,
             state => state,
         };
         core::mem::take(&mut self.lost)
@@ -361,17 +361,11 @@ impl Broadcast {
 
     /// Reports once that it is over.
     pub(super) fn take_result(&mut self) -> Option<Event> {
-        let was_sent = match self.state {
-            State::Sent | State::Done => true,
-            State::Dropped => false,
-            State::None | State::Waiting | State::Again | State::InFlight => return None,
-        };
-        self.state = State::None;
-        if !was_sent {
-            // A frame that is handed back later only looks like it.
-            self.kind = None;
+        if !matches!(self.state, State::Sent | State::Over) {
+            return None;
         }
-        Some(Event::BroadcastDone { silent: self.silent, was_sent })
+        self.state = State::None;
+        Some(Event::BroadcastDone { silent: self.silent, was_sent: self.is_sent })
     }
 }
 
@@ -476,7 +470,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.deadline(&self.config).is_none_or(|deadline| deadline > now) {
             return;
         }
-        self.broadcast.state = State::Done;
+        self.broadcast.state = State::Over;
         self.broadcast.lost = self.broadcast.silent;
         for motor in self.broadcast.lost.iter() {
             self.change(motor, |motor, config| motor.note_miss(config, now));

@@ -210,8 +210,7 @@ impl<const N: usize> Master<N> {
                 self.for_all = ForAll::HandedBack;
                 self.stop_to_all_was = None;
                 // An earlier command to all may have been the same.
-                let is_broadcast =
-                    !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);
+                let is_broadcast = self.broadcast.may_be(packet);
                 let is_newest = is_broadcast && self.broadcast.is_active();
                 let is_stop_to_all = !is_newest && self.stop_to_all_was_pushed_out(packet);
                 if !is_stop_to_all && is_broadcast {
