@@ -12,7 +12,7 @@ use crate::master::request::Purpose;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
@@ -284,21 +284,9 @@ impl Broadcast {
         asked.without(self.may_answer) == asked
     }
 
-    /// Whether this reply of `motor` answers this broadcast; each motor that is expected to answer does so once. `None`
-    /// if the reply answers neither this broadcast nor the last one.
-    #[inline(never)]
-    pub(super) fn take_reply(
-        &mut self,
-        motor: MotorId,
-        reply: &Packet,
-        shortest: Duration,
-        now: Instant,
-    ) -> Option<bool> {
-        // What comes sooner is an earlier reply, doubled.
-        if now - self.sent < shortest {
-            return None;
-        }
-        let is_owed = self.may_be_mistaken(reply.data[0], motor);
+    /// The motor has answered with this command byte. Returns whether that may be its answer to the last broadcast.
+    pub(super) fn take_owed(&mut self, byte: u8, motor: MotorId) -> bool {
+        let is_owed = self.may_be_mistaken(byte, motor);
         if is_owed {
             self.may_answer.remove(motor);
             if self.last.moves.contains(motor) && !self.others.moves.contains(motor) {
@@ -306,6 +294,11 @@ impl Broadcast {
             }
             self.last = self.last.without(motor);
         }
+        is_owed
+    }
+
+    /// Whether this reply of `motor` answers this broadcast; each motor that is expected to answer does so once.
+    pub(super) fn take_answer(&mut self, motor: MotorId, reply: &Packet) -> bool {
         let answers = self.is_in_flight()
             && self.silent.contains(motor)
             && self.question().is_some_and(|asked| asked.is_answered_by(reply));
@@ -315,7 +308,7 @@ impl Broadcast {
                 self.state = State::Over;
             }
         }
-        (is_owed || answers).then_some(answers)
+        answers
     }
 
     /// When it was sent; while it waits, when the one before it was sent.

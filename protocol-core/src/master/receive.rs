@@ -153,9 +153,15 @@ impl<const N: usize> Master<N> {
             }
             return false;
         }
-        let shortest = self.config.shortest_response;
-        let taken = self.broadcast.take_reply(motor, packet, shortest, self.now);
-        let Some(is_answer) = taken else { return false };
+        // What comes sooner is an earlier reply, doubled.
+        if self.now - self.broadcast.sent_at() < self.config.shortest_response {
+            return false;
+        }
+        let is_owed = self.broadcast.take_owed(data[0], motor);
+        let is_answer = self.broadcast.take_answer(motor, packet);
+        if !is_owed && !is_answer {
+            return false;
+        }
         // A broadcast that was answered has left its mailbox, also on a bus that is never quiet.
         if is_answer && self.for_all.may_lie() && self.broadcast.sent_at() == self.told_all_at() {
             self.for_all = ForAll::Gone;
