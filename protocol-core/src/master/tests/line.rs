@@ -577,3 +577,20 @@ fn on_rs485_stop_does_not_extend_the_late_window_of_a_read() {
     assert_eq!(sent(&mut master, ms(15)), []);
     assert_eq!(sent(&mut master, ms(16)).len(), 1);
 }
+
+/// A frame that nobody asked for delays no stop. This one ends the exchange that the stop of motor 2 has waited for.
+#[test]
+fn stop_waits_a_turnaround_after_the_answer_to_a_patient_read() {
+    let config = Config::rs485(1_000_000, false);
+    let Bus::Rs485 { turnaround, .. } = config.bus else { unreachable!() };
+    let mut master = Master::<2>::new(config);
+    let patient = Patience { reply_timeout: Duration::from_millis(200), attempts: 1 };
+    let _read = master.request_with(id(1), ReadMultiTurnAngle, patient).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(2), StopKind::Off).unwrap();
+    let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
+    assert!(master.handle_line(&answer, ms(30)).is_some());
+    assert_eq!(sent(&mut master, ms(30)), [], "the drive still drives the line");
+    assert_eq!(master.poll_at(), Some(ms(30) + turnaround));
+    assert_eq!(sent(&mut master, ms(30) + turnaround), [packet_to(2, Shutdown.encode())]);
+}
