@@ -736,3 +736,68 @@ fn a_request_of_its_kind_that_was_put_later_waits_for_the_broadcast() {
         Packet { channel: Channel::Command(Target::All), data: ReadMultiTurnAngle.encode() };
     assert_eq!(sent(&mut master, ms(1)), [to_all]);
 }
+
+/// Both motors have answered the second move. The first may move them until 165.8 ms. The read waits for the Shutdown,
+/// which must not wait for the read.
+#[test]
+fn shutdown_to_all_does_not_wait_for_a_later_read_while_an_earlier_move_may_arrive() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let both = MotorSet::from([id(1), id(2)]);
+    let moved = [0xA8, 30, 0, 0, 0, 0, 7, 0];
+    master.broadcast(step(), both).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    // Nothing is heard of it.
+    events(&mut master, ms(21));
+    for at in [62, 90] {
+        events(&mut master, ms(at));
+    }
+    master.broadcast(step(), both).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    for motor in [1, 2] {
+        reply(&mut master, motor, moved, ms(101)).unwrap();
+    }
+    events(&mut master, ms(101));
+    let _first = ask(&mut master, 2, ReadModel, ms(124));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let _later = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(124)), [], "the answer to the first read is awaited");
+    // The bus is intact.
+    reply(&mut master, 2, *b"\xB5X8S2V10", ms(125)).unwrap();
+    assert_eq!(sent(&mut master, ms(125)).first(), Some(&packet_to_all(Shutdown.encode())));
+}
+
+/// The answer to a set-point may be that to a torque to all. The stop comes when that torque can no longer come.
+#[test]
+fn stop_is_unconfirmed_while_the_set_point_may_come_whose_answer_may_be_that_to_a_broadcast() {
+    let line = |data| Frame { address: Target::Motor(id(1)), data };
+    let is_feedback = |event| matches!(event, Some(Event::Feedback { .. }));
+    // It may come until 10.26 ms after that answer.
+    for (at, is_confirmed) in [(17, false), (24, true)] {
+        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(0)), [packet_to_all(torque(1.0).encode())]);
+        events(&mut master, ms(0));
+        master.set_point(id(1), torque(2.0), ms(12)).unwrap();
+        assert_eq!(sent(&mut master, ms(12)), [packet_to(1, torque(2.0).encode())]);
+        assert!(is_feedback(master.handle_line(&line(TORQUE_REPLY), ms(13))));
+        events(&mut master, ms(16));
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(at)), [packet_to(1, Shutdown.encode())]);
+        let answer = master.handle_line(&line(Shutdown.encode()), ms(at + 1));
+        assert_eq!(answer == confirmed(1), is_confirmed, "at {at} ms: {answer:?}");
+    }
+}
+
+#[test]
+fn set_point_handed_back_after_what_may_answer_a_broadcast_was_not_answered() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+    let in_mailbox = sent(&mut master, ms(1))[0];
+    reply(&mut master, 1, TORQUE_REPLY, ms(2)).unwrap();
+    let counted = |master: &Master<2>| (master.health(id(1)).answered, master.health(id(1)).lost);
+    assert_eq!(counted(&master), (1, 0));
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(counted(&master), (0, 0));
+}
