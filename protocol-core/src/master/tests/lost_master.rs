@@ -319,3 +319,16 @@ fn ignored_brake_release_is_not_resent_once_it_was_ended() {
         }
     }
 }
+
+/// The bytes are those of the command to all.
+#[test]
+fn the_echo_of_an_ignored_move_to_all_is_no_feedback_of_a_set_point() {
+    let mut master = Master::<2>::new(Config::CAN);
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(torque(1.0).encode())]);
+    master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, torque(2.0).encode())]);
+    let event = reply(&mut master, 1, torque(1.0).encode(), ms(2));
+    assert_eq!(event, Some(Event::SetPointUnanswered { motor: id(1) }));
+}
