@@ -1,5 +1,6 @@
 //! A motor is stopped in time even if nobody reads the output, and whatever signal comes.
 
+use std::fs::File;
 use std::io::{self, Read as _, Write as _};
 use std::os::fd::AsFd as _;
 use std::os::unix::process::ExitStatusExt as _;
@@ -7,7 +8,10 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+use myactuator_protocol_core::{MotorId, Target};
 use rustix::process::{Pid, Signal, kill_process};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 
 use crate::question::terminal;
@@ -37,15 +41,16 @@ pub(crate) fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     (reader, writer)
 }
 
+/// Whether the process catches this signal.
+fn catches(process: &Child, signal: Signal) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    u64::from_str_radix(caught.trim(), 16).unwrap() >> (signal.as_raw() - 1) & 1 != 0
+}
+
 /// Waits until the process catches this signal, or has ended. That takes longer on a busy machine.
 fn wait_until_it_catches(process: &mut Child, signal: Signal) {
-    let status = format!("/proc/{}/status", process.id());
-    let catches = || {
-        let status = std::fs::read_to_string(&status).unwrap();
-        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
-        u64::from_str_radix(caught.trim(), 16).unwrap() >> (signal.as_raw() - 1) & 1 != 0
-    };
-    assert!(comes(|| process.try_wait().unwrap().is_some() || catches()));
+    assert!(comes(|| process.try_wait().unwrap().is_some() || catches(process, signal)));
 }
 
 /// Sends the signal, unless the process has ended.
@@ -334,6 +339,61 @@ fn writes_are_finished_though_ctrl_c_is_pressed() {
         assert_eq!(errors, why, "{what:?}: {} {message}", ended.status);
         assert!(died_of(Signal::INT, ended.status), "{what:?}: {}", ended.status);
     }
+}
+
+/// What motor 1 answers on a line, until it hears this command.
+fn hear_on_line(line: &mut File, command: u8) {
+    let mut receiver = Receiver::new();
+    loop {
+        let mut byte = [0];
+        line.read_exact(&mut byte).unwrap();
+        let Fed::Frame(Frame { address, data }) = receiver.feed(byte[0]) else { continue };
+        let answer = match data[0] {
+            first if first == command => return,
+            // 48 V, and no error.
+            0x9A => [0x9A, 30, 30, 0, 0xE0, 0x01, 0, 0],
+            // A temperature, and a run time or an angle.
+            first @ (0x9C | 0x9D) => [first, 30, 0, 0, 0, 0, 0, 0],
+            first => [first, 0, 0, 0, 0, 0, 1, 0],
+        };
+        line.write_all(&Frame { address, data: answer }.encode()).unwrap();
+    }
+}
+
+/// The motor answers only after the signal. Without that answer nobody knows whether it has stored its protection.
+#[test]
+fn protection_that_is_being_written_is_finished_though_ctrl_c_is_pressed() {
+    let attempt = || {
+        let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        grantpt(&line).unwrap();
+        unlockpt(&line).unwrap();
+        let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        let mut line = File::from(line);
+        let mut timeout = myactuator();
+        timeout.args(["timeout", "--yes", "--id", "1", "--time-ms", "500"]);
+        timeout.args(["--bus", &format!("rs485:{path}@115200")]).stdin(Stdio::null());
+        let mut process = timeout.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        hear_on_line(&mut line, 0xB3);
+        assert!(catches(&process, Signal::INT), "it would end here");
+        kill_process(Pid::from_child(&process), Signal::INT).unwrap();
+        // 2.31: the motor sends the command back.
+        let data = [0xB3, 0, 0, 0, 0xF4, 0x01, 0, 0];
+        let address = Target::Motor(MotorId::MIN);
+        line.write_all(&Frame { address, data }.encode()).unwrap();
+        let ended = ends_soon(&mut process);
+        let output = process.wait_with_output().unwrap();
+        (ended, text(&output.stdout).to_owned(), text(&output.stderr).to_owned())
+    };
+    let (ended, message, errors) = unless_late(attempt, |(.., errors)| tells_of_silence(errors));
+    assert_eq!(
+        message,
+        "motor 1 cuts its output when it hears nothing for 500 ms: try it before you rely on it\n",
+        "{errors}"
+    );
+    let why =
+        "note: interrupted: this command is finished first, so that nothing is left half written\n";
+    assert_eq!(errors, why);
+    assert!(died_of(Signal::INT, ended), "{ended}");
 }
 
 /// The stop once gave up, because the bus had carried nothing during the suspension.
