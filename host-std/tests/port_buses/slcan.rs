@@ -279,6 +279,30 @@ fn moves_are_refused_after_a_refusal_until_a_reply_arrives() {
     device.join().unwrap();
 }
 
+/// Some adapters say that they have accepted a read, although the bus carries nothing.
+#[test]
+fn only_a_frame_ends_what_a_refusal_has_begun() {
+    let (mut line, path) = pty::open();
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    let mut says = |can: &mut Slcan, text: &[u8]| {
+        line.write_all(text).unwrap();
+        let has_come = || rustix::io::ioctl_fionread(&*can).unwrap() as usize == text.len();
+        while !has_come() {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        can.receive()
+    };
+    assert!(says(&mut can, b"\x07").is_err());
+    for text in [&b"\r"[..], b"z\r", b"Z\r", b"t24192\r", b"V1013\r", b"F00\r", b"?\r"] {
+        assert!(says(&mut can, text).is_err());
+        let refused = can.transmit(&frame(TORQUE));
+        let why = String::from_utf8_lossy(text);
+        assert!(matches!(refused, Err(nb::Error::Other(PortError::Refused(_)))), "{why:?}");
+    }
+    assert!(says(&mut can, b"t24189200000000000000\r").is_ok());
+    assert!(can.transmit(&frame(TORQUE)).is_ok());
+}
+
 /// The program does not read the answers, so the adapter may have restarted all the while.
 #[test]
 fn refusing_adapter_is_reopened_at_most_ten_times_a_second() {
@@ -421,6 +445,19 @@ fn stalled_port_discards_its_bytes_and_joins_no_line_from_the_rest() {
     });
     // The last one is lost in any case.
     assert!(2 * torques_among(&device.join().unwrap()) < taken);
+}
+
+/// A sender that has to wait keeps it, and sends a newer one or a stop in its place.
+#[test]
+fn frame_is_not_taken_before_the_port_has_taken_the_one_before() {
+    let refusal = || {
+        let (_line, path) = pty::open();
+        let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+        (0..10_000).find_map(|_| can.transmit(&frame(TORQUE)).err()).expect("the port has an end")
+    };
+    let is_told_to_wait = |_| matches!(refusal(), nb::Error::WouldBlock);
+    // On a busy machine it may take long enough to be a stall.
+    assert!((0..5).any(is_told_to_wait));
 }
 
 #[test]
