@@ -260,6 +260,23 @@ fn motor_whose_thread_hangs_is_let_go_by_its_protection_though_a_function_keeps_
     assert!(has_output(1) && !has_output(2));
 }
 
+/// Whoever moved them has stopped them, and need not keep them alive any more. A restart takes more than a second.
+#[test]
+fn motors_that_were_moved_and_stopped_hold_while_another_is_restarted() {
+    let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
+    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+    for motor in [2, 3] {
+        bus.protect(id(motor), Milliseconds::from_raw(300)).unwrap();
+        bus.ask(id(motor), turn(90.0)).unwrap();
+    }
+    bus.ask(id(2), Stop).unwrap();
+    assert_eq!(bus.stop(id(3), StopKind::Hold).unwrap(), MotorSet::EMPTY);
+    bus.restart(id(1)).unwrap();
+    for drive in &fleet.drives[1..] {
+        assert!(drive.with(|drive| drive.state()).output_on, "motor {}", drive.motor());
+    }
+}
+
 /// They come when the function that asked is over.
 #[test]
 fn nobody_hears_how_questions_that_keep_motors_alive_have_ended() {
@@ -751,6 +768,27 @@ fn move_whose_turn_comes_after_a_suspension_is_not_sent() {
     assert_eq!(moves.count(), 2, "one move and its answer");
 }
 
+/// The motor is to be off, however late it hears that. It is busy with the first one until the program is suspended.
+#[test]
+fn shutdown_whose_turn_comes_after_a_suspension_is_sent() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let log = fleet.world.log();
+    hold_up(&order);
+    let asking = thread::spawn({
+        let bus = bus.clone();
+        move || bus.ask_together([(id(1), Shutdown), (id(1), Shutdown)])
+    });
+    while bus.desk().lock().questions.len() < 2 {
+        thread::yield_now();
+    }
+    order.store(SUSPEND_AFTER_REPLY, Ordering::SeqCst);
+    let outcomes = asking.join().unwrap();
+    assert!(outcomes.iter().all(Result::is_ok), "{outcomes:?}");
+    let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+    assert_eq!(sent, [0x80; 4], "two commands and their answers");
+}
+
 #[test]
 fn move_that_returned_a_bus_error_is_not_sent_later() {
     let (fleet, order, bus) = fragile();
@@ -845,6 +883,68 @@ fn last_handle_stops_all_again_if_anything_was_asked_since() {
     let stops = packets(&log).into_iter().filter(|packet| packet.data[0] == 0x81);
     let stopped = stops.filter(|packet| matches!(packet.channel, Channel::Reply(_))).count();
     assert_eq!(stopped, 2);
+}
+
+/// Its caller has told them to hold. The bus is to switch them off at its end.
+#[test]
+fn last_handle_stops_all_in_its_own_way_after_another_stop() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Off);
+    bus.ask(id(1), turn(90.0)).unwrap();
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    drop(bus);
+    assert!(!fleet.drives[0].with(|drive| drive.state()).output_on);
+}
+
+/// A motor may have restarted since, or another program may have moved it.
+#[test]
+fn last_handle_stops_all_again_if_the_last_stop_is_a_second_ago() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    let log = fleet.world.log();
+    // Each takes 100 ms of the bus's time.
+    for _ in 0..10 {
+        hold_up(&order);
+        order.store(WORK, Ordering::SeqCst);
+    }
+    drop(bus);
+    let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+    assert_eq!(sent, [0x81, 0x81], "the stop and its confirmation");
+}
+
+/// The thread of the bus sees the stop and the end at the same time.
+#[test]
+fn stop_that_was_only_begun_is_sent_although_the_last_handle_has_gone() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    let log = fleet.world.log();
+    hold_up(&order);
+    let stop = bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY);
+    let weak = bus.downgrade();
+    let dropping = thread::spawn(move || drop(bus));
+    while weak.upgrade().is_some() {
+        thread::yield_now();
+    }
+    order.store(WORK, Ordering::SeqCst);
+    assert_eq!(stop.wait().unwrap(), MotorSet::EMPTY);
+    dropping.join().unwrap();
+    assert!(packets(&log).iter().any(|packet| packet.data[0] == 0x81));
+}
+
+/// The motor does not hear them; the other one acknowledges the frames.
+#[test]
+fn question_is_sent_as_often_as_its_patience_says() {
+    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+    fleet.world.cut(fleet.drives[0].station());
+    let log = fleet.world.log();
+    for attempts in [1, 2, 5] {
+        let patience = Patience { reply_timeout: Duration::from_millis(5), attempts };
+        let returned = bus.ask_with(id(1), ReadStatus1, patience).unwrap_err();
+        tells(&returned, 1, Failure::NoReply);
+        assert_eq!(packets(&log).len(), usize::from(attempts));
+    }
 }
 
 #[test]
