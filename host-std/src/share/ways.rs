@@ -404,6 +404,57 @@ mod tests {
         assert_eq!(Way::on(&bus, id(1)).may_move(id(1)), Ok(()), "who begins now");
     }
 
+    /// The hold would switch the motor on again. That it was not sent is no end of motion of the caller's own.
+    #[test]
+    fn caller_whose_hold_was_refused_moves_nothing_after_it() {
+        let (fleet, bus) = shared(1);
+        let way = &mut Way::on(&bus, id(1));
+        bus.ask(id(1), Shutdown).unwrap();
+        let log = fleet.world.log();
+        assert!(block_on(way.ask(id(1), Stop)).is_err());
+        assert_eq!(way.may_move(id(1)), Err(RequestError::Stopped));
+        assert!(block_on(way.ask(id(1), to(90.0, 10.0))).is_err());
+        assert_eq!(sent(&log), [0_u8; 0]);
+    }
+
+    /// A way of working that is left by a panic begins this stop. The motor is off, and was not switched on since.
+    #[test]
+    fn stop_that_is_only_begun_leaves_a_motor_off_that_another_thread_has_switched_off() {
+        let (fleet, bus) = shared(1);
+        let way = &mut Way::on(&bus, id(1));
+        bus.ask(id(1), Shutdown).unwrap();
+        let log = fleet.world.log();
+        way.begin_stop(id(1), StopKind::Hold);
+        // This goes after the stop.
+        bus.ask(id(1), ReadStatus1).unwrap();
+        let sent = sent(&log);
+        assert!(sent.contains(&0x80) && !sent.contains(&0x81), "{sent:02X?}");
+    }
+
+    #[test]
+    fn motor_that_does_not_confirm_its_stop_is_not_reported_as_stopped() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+        fleet.world.cut(fleet.drives[0].station());
+        let stops = |motor| block_on(Way::on(&bus, id(motor)).stop(id(motor), StopKind::Hold));
+        assert_eq!([1, 2].map(stops), [false, true]);
+    }
+
+    /// The motor does not hear them; the other one acknowledges the frames.
+    #[test]
+    fn way_of_working_asks_as_often_as_it_says() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+        fleet.world.cut(fleet.drives[0].station());
+        let log = fleet.world.log();
+        for attempts in [1, 2, 5] {
+            let way = &mut Way::on(&bus, id(1));
+            assert!(block_on(way.ask_often(id(1), ReadModel, Some(attempts))).is_err());
+            let asked = sent(&log).into_iter().filter(|byte| *byte == 0xB5).count();
+            assert_eq!(asked, usize::from(attempts));
+        }
+    }
+
     #[test]
     fn drive_that_restarts_during_a_move_is_not_moved_until_resumed() {
         let restart = "reset@1+1s".parse().unwrap();

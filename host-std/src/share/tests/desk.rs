@@ -151,6 +151,21 @@ fn set_points_and_moves_older_than_a_stop_are_dropped() {
     assert!(is_over(desk.wait(stopping).unwrap_err()));
 }
 
+/// The thread ends before it takes up what they have laid down.
+#[test]
+fn callers_learn_of_a_panic_whatever_they_wait_for() {
+    let desk = new_desk();
+    desk.lock().longest_round = HELD;
+    let (stopping, reading) =
+        (desk.stop_all(StopKind::Hold, MotorSet::EMPTY), ask(&desk, 1, ReadStatus1));
+    let waiting = desk.wait_until(Instant::from_millis(1));
+    desk.has_panicked(Arc::from("the test is over"));
+    let stopped = desk.wait_for_stop(stopping, MotorSet::ALL);
+    assert!(matches!(stopped, Err(SharedBusError::Panicked(_))), "{stopped:?}");
+    assert!(matches!(desk.wait(reading), Err(SharedBusError::Panicked(_))));
+    assert!(matches!(desk.wait(waiting), Err(SharedBusError::Panicked(_))));
+}
+
 /// A question that nobody waits for.
 fn ask(desk: &Desk<CanError>, motor: u8, command: impl Command) -> Awaited<Data, CanError> {
     desk.ask(id(motor), Untyped::of(&command), Insistence::Usual, None)
@@ -377,7 +392,7 @@ fn set_point_waiting_for_a_shutdown_keeps_its_age() {
 #[test]
 fn stop_by_a_caller_from_before_a_shutdown_leaves_the_motor_off() {
     type End = fn(&Desk<CanError>);
-    let ends: [(End, &str); 14] = [
+    let ends: [(End, &str); 15] = [
         (|desk| drop(ask(desk, 1, Shutdown)), "Off"),
         (|desk| drop(ask(desk, 1, Reset)), "Off"),
         (|desk| drop(desk.stop_all(StopKind::Off, MotorSet::EMPTY)), "Off"),
@@ -435,6 +450,15 @@ fn stop_by_a_caller_from_before_a_shutdown_leaves_the_motor_off() {
                 drop(ask(desk, 1, Shutdown));
                 let _moving = ask(desk, 1, STEP);
                 assert!(desk.take(&mut Notes { takes_questions: true, ..Notes::default() }));
+            },
+            "Hold",
+        ),
+        (
+            |desk| {
+                drop(ask(desk, 1, Shutdown));
+                assert!(desk.take(&mut Notes { takes_questions: true, ..Notes::default() }));
+                desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+                assert_eq!(taken(desk), [set(1, 1.0)]);
             },
             "Hold",
         ),
