@@ -13,7 +13,7 @@ use myactuator_tests::values::{id, millis};
 
 use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, slips, stays_held};
 use super::shutdown::{break_off, shut_down};
-use super::{Firmware, Moved, angle_deg, told_by};
+use super::{Firmware, Moved, Panel, angle_deg, told_by};
 
 on_both_buses! {
     a_motor_that_never_says_whether_its_shaft_stands_leaves_the_button_alive
@@ -28,6 +28,7 @@ on_both_buses! {
     a_press_after_a_second_motor_has_let_go_starts_nothing
     a_motor_whose_error_is_over_is_told_to_hold_again
     a_press_in_the_same_moment_leaves_a_motor_holding
+    a_motor_that_has_let_go_is_not_asked_whether_its_shaft_stands
 }
 
 /// A bus on which motor 3 answers otherwise.
@@ -344,4 +345,25 @@ fn motors_without_power_keep_others_from_hearing_only_with_the_time_outs_of_a_lo
         let lost = lost_their_master(others);
         assert_eq!(!lost.is_empty(), have_lost, "{bit_rate} bit/s, {without_power}: {lost:?}");
     }
+}
+
+/// It holds nothing until it answers the rounds again. Whatever it says of its shaft meanwhile, a check would only keep
+/// the button from working.
+fn a_motor_that_has_let_go_is_not_asked_whether_its_shaft_stands<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    // Its brake is locked, and it has said so.
+    firmware.run_for(millis(1_500));
+    let rounds = [0x9A, 0xB1, 0x92];
+    let mute = |data: Data| (!rounds.contains(&data[0])).then_some(data);
+    run_altered(&mut firmware, 1_000, mute);
+    firmware.forget();
+    run_altered(&mut firmware, 1_000, |mut data| {
+        if data[0] == 0x9C {
+            // 5 dps.
+            data[4] = 5;
+        }
+        mute(data)
+    });
+    assert_eq!(firmware.panel.reports, []);
 }
