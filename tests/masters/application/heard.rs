@@ -1,12 +1,12 @@
 //! Which motors must be heard, which must hear enough commands, and what is reported of the others.
 
 use myactuator_host_std::sim::Fleet;
-use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble};
+use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble, cycle};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Config, MotorSet};
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::master::{Config, Event, Master, MotorSet};
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::fleet::{lost_their_master, state};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
@@ -27,6 +27,7 @@ on_both_buses! {
     a_stopped_motor_is_asked_every_10_ms_whatever_the_cycle
     a_motor_that_stops_late_is_kept_holding
     a_motor_that_was_found_once_must_be_found_again
+    a_motor_that_confirmed_no_stop_must_be_found_again
     two_motors_that_are_silent_are_a_dead_bus
     a_bus_that_waits_long_for_a_silent_motor_is_not_down
 }
@@ -249,6 +250,60 @@ fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
     firmware.press(millis(50));
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(1_000));
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Preparing)), 1);
+}
+
+/// A bus that loses the confirmations of motor 2.
+struct Unconfirmed<'a, R>(&'a mut R);
+
+impl<R: Runner<8>> Runner<8> for Unconfirmed<'_, R> {
+    type Error = R::Error;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+        let lost = Event::StopConfirmed { motor: id(2) };
+        Ok(self.0.poll()?.filter(|event| *event != lost))
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+/// Only the search has heard it.
+fn a_motor_that_confirmed_no_stop_must_be_found_again<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let setup = Setup { search: MotorId::all().take(2).collect(), ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    let run_for = |firmware: &mut Firmware<'_, B>, ms| {
+        let Firmware { runner, app, panel, .. } = firmware;
+        let end = runner.now() + millis(ms);
+        while runner.now() < end {
+            cycle(app, &mut Unconfirmed(runner), panel);
+        }
+    };
+    let press = |firmware: &mut Firmware<'_, B>| {
+        firmware.forget();
+        firmware.panel.is_button_down = true;
+        run_for(firmware, 50);
+        firmware.panel.is_button_down = false;
+        run_for(firmware, 1_500);
+    };
+    run_for(&mut firmware, 1_500);
+    press(&mut firmware);
+    assert!(firmware.panel.reports.contains(&Report::State(StateName::Running)));
+    unplug(&bus, &bus.drives[1]);
+    // Sooner a press starts nothing.
+    run_for(&mut firmware, 2_000);
+    press(&mut firmware);
+    assert_eq!(firmware.troubles(), [Trouble::Silent { motor: id(2) }]);
+    assert!(!firmware.panel.reports.contains(&Report::State(StateName::Preparing)));
 }
 
 fn two_motors_that_are_silent_are_a_dead_bus<B: Moved>() {
