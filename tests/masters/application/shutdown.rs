@@ -9,6 +9,7 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::ReportInterval;
 use myactuator_tests::fleet::state;
 use myactuator_tests::on_both_buses;
@@ -31,6 +32,7 @@ on_both_buses! {
     a_product_that_stops_by_switching_off_holds_nothing
     an_error_in_a_shutdown_leaves_the_others_shut_down
     an_error_of_another_motor_keeps_none_that_turns_from_being_held
+    a_motor_that_confirms_while_the_others_are_checked_is_asked_again
 }
 
 /// Holds the button until the motors are being shut down.
@@ -245,11 +247,15 @@ fn a_motor_that_is_not_asked_keeps_no_other_from_being_held_again<B: Moved>() {
     shut_down(&mut firmware);
     firmware.run_for(millis(25));
     slips(&bus.drives[1]);
-    let master = firmware.runner.master();
-    master.lift_stop();
+    firmware.runner.master().lift_stop();
     let (command, enable) = (ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On);
     let report = ActiveReply { command, enable, interval: ReportInterval::from_raw(2) };
-    let reports = master.request(id(3), report).is_ok();
+    let mut reports = false;
+    // It may be busy with a question. RS485 has no such reports.
+    while B::NAME == "CAN" && !reports {
+        firmware.run_for(Duration::from_micros(100));
+        reports = firmware.runner.master().request(id(3), report).is_ok();
+    }
     firmware.run_for(millis(5));
     break_off(&mut firmware);
     firmware.run_for(millis(1_000));
@@ -333,4 +339,25 @@ fn an_error_of_another_motor_keeps_none_that_turns_from_being_held<B: Moved>() {
         assert!(!is_off(&bus.drives[1]) && fallen[1] < 20.0, "{after_ms} ms: {fallen:?}");
         firmware.stays_stopped();
     }
+}
+
+/// Otherwise its protection would let it go. The check waits for a motor that is silent by then.
+fn a_motor_that_confirms_while_the_others_are_checked_is_asked_again<B: Moved>() {
+    let bus = loaded::<B>(3, true);
+    let (mut firmware, _) = before_shutdown(&bus);
+    shut_down(&mut firmware);
+    firmware.run_for(millis(25));
+    unplug(&bus, &bus.drives[1]);
+    break_off(&mut firmware);
+    firmware.run_until(Report::State(StateName::Looking), millis(300));
+    unplug(&bus, &bus.drives[0]);
+    bus.world.mend(bus.drives[1].station());
+    let answered = |firmware: &mut Firmware<'_, B>| firmware.runner.master().health(id(2)).answered;
+    let (told, before) = (firmware.panel.reports.len(), answered(&mut firmware));
+    let mut meanwhile = 0;
+    while !firmware.panel.reports[told..].contains(&Report::State(StateName::Stopping)) {
+        meanwhile = answered(&mut firmware) - before;
+        firmware.run_for(millis(1));
+    }
+    assert!(meanwhile > 1, "{meanwhile}: only the stop");
 }
