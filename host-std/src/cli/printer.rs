@@ -133,3 +133,76 @@ impl State {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read as _;
+
+    use super::*;
+
+    /// Longer than a busy machine takes.
+    const LONG: Duration = Duration::from_secs(60);
+
+    /// Nobody reads it any more.
+    fn broken() -> io::Result<std::os::fd::OwnedFd> {
+        let (_reader, writer) = io::pipe()?;
+        Ok(writer.into())
+    }
+
+    fn missing() -> io::Result<std::os::fd::OwnedFd> {
+        Err(io::ErrorKind::NotFound.into())
+    }
+
+    /// What waits behind a piece that cannot be written waits for nothing.
+    #[test]
+    fn stream_that_cannot_be_written_fails_from_then_on() {
+        static BROKEN: Printer = Printer::new(broken);
+        static MISSING: Printer = Printer::new(missing);
+        for (stream, kind) in
+            [(&BROKEN, io::ErrorKind::BrokenPipe), (&MISSING, io::ErrorKind::NotFound)]
+        {
+            let state = stream.state();
+            assert_eq!(state.failed, None);
+            drop(state);
+            stream.print("lost").unwrap();
+            // The thread may have failed by now.
+            let _ = stream.show("lost, too");
+            for _ in 0..2 {
+                assert_eq!(stream.wait_for(LONG).unwrap_err().kind(), kind);
+                assert_eq!(stream.print("lost").unwrap_err().kind(), kind);
+                assert_eq!(stream.show("lost").unwrap_err().kind(), kind);
+            }
+        }
+    }
+
+    /// The reader of what the test below prints.
+    static READER: Mutex<Option<io::PipeReader>> = Mutex::new(None);
+
+    fn unread() -> io::Result<std::os::fd::OwnedFd> {
+        let (reader, writer) = io::pipe()?;
+        *READER.lock().unwrap() = Some(reader);
+        Ok(writer.into())
+    }
+
+    #[test]
+    fn only_progress_is_dropped_while_nobody_reads() {
+        static UNREAD: Printer = Printer::new(unread);
+        // More than a pipe takes.
+        const FIRST: usize = 1 << 20;
+        UNREAD.print(vec![b'.'; FIRST]).unwrap();
+        let taken = (1..=ROOM).map(|_| UNREAD.offer("p", ROOM).unwrap());
+        assert_eq!(taken.filter(|&is_taken| is_taken).count(), ROOM - 1);
+        UNREAD.print("result").unwrap();
+        assert!(!UNREAD.offer("p", ROOM).unwrap());
+        // Nobody waits for ever.
+        assert!(!UNREAD.wait_for(Duration::ZERO).unwrap());
+        assert!(!UNREAD.wait(|| true).unwrap());
+        let reader = || READER.lock().unwrap().take();
+        let mut reader = std::iter::repeat_with(reader).find_map(|reader| reader).unwrap();
+        let mut told = vec![0; FIRST + ROOM - 1 + "result".len()];
+        reader.read_exact(&mut told).unwrap();
+        let end = [vec![b'p'; ROOM - 1], b"result".to_vec()].concat();
+        assert!(told.ends_with(&end));
+        assert!(UNREAD.wait_for(LONG).unwrap());
+    }
+}
