@@ -582,6 +582,52 @@ mod tests {
         assert!(message.contains("motor stalled"), "{message}");
     }
 
+    /// It has no error, and no brake that it reports as locked.
+    #[test]
+    fn motor_that_restarts_while_it_comes_to_rest_is_not_reported_holding() {
+        let fault = "reset@1+300ms".parse().unwrap();
+        let fleet = Fleet::new(1).faults([fault]).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        assert!(fleet.drives[0].with(|drive| drive.state().output_on), "it has not come yet");
+        let message = format!("motor 1 {RUNS_NOTHING}");
+        assert_eq!(session.stopped(MotorId::MIN.into()), Err(Unfinished::Failed(message)));
+    }
+
+    /// It sends after the time in which others are listened for, and so little that friction holds the shaft.
+    #[test]
+    fn another_master_that_is_heard_while_a_motor_comes_to_rest_is_reported() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let torque = to_first([0xA1, 0, 0, 0, 1, 0, 0, 0]);
+        OtherMaster::attach(&fleet, torque, Sends::Once(Duration::from_millis(320)));
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        assert!(session.master.now() < Instant::from_millis(320), "it has not come yet");
+        let outcome = session.stopped(MotorId::MIN.into());
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("something else on this bus goes on commanding it"), "{message}");
+    }
+
+    /// Only one of them is to be confirmed here.
+    #[test]
+    fn stop_of_one_of_two_motors_that_move_stops_both() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let both: MotorSet = MotorId::all().take(2).collect();
+        let turn = Speed { max_torque: MaxTorque::NO_LIMIT, speed: SpeedTarget::from_raw(9_000) };
+        let outcome: Outcome = session.moving(both, |session| {
+            both.iter().try_for_each(|motor| session.ask(motor, turn).map(drop))?;
+            session.confirm_stop(StopKind::Hold, MotorId::MIN.into())?;
+            let later = session.master.now() + Duration::from_secs(1);
+            session.wait_until(later)
+        });
+        assert_eq!(outcome, Ok(()));
+        for drive in &fleet.drives {
+            let speed_dps = drive.with(|drive| drive.plant().output_speed_dps());
+            assert!(speed_dps.abs() < 1.0, "motor {}: {speed_dps} dps", drive.motor());
+        }
+    }
+
     #[test]
     fn error_of_one_motor_is_reported_beside_another_that_is_commanded_elsewhere() {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
