@@ -201,6 +201,19 @@ fn slow_reader_gets_the_result_late() {
     );
 }
 
+/// A script must not go on as if the answer had been read.
+#[test]
+fn command_whose_output_cannot_be_written_fails() {
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    let mut read = myactuator();
+    read.args(["send", "--bus", "sim:1", "--id", "1", "read-multi-turn-angle"]);
+    let output = read.stdin(Stdio::null()).stdout(full).stderr(Stdio::piped()).output().unwrap();
+    let errors = text(&output.stderr);
+    assert!(errors.contains("error: cannot write: "), "{errors}");
+    assert!(errors.ends_with("; the command itself is done\n"), "{errors}");
+    assert_eq!(output.status.code(), Some(1));
+}
+
 #[test]
 fn signals_stop_the_motor_first_though_both_output_pipes_are_full() {
     let (_folder, path, simulation) = controlled(1);
