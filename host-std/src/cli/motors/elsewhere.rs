@@ -179,6 +179,7 @@ fn deed(event: &Event) -> Option<(MotorId, Deed)> {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::{Shutdown, Stop};
 
     use super::super::session::Session;
     use super::super::simulated::{OtherMaster, Sends, sent, to_first};
@@ -207,6 +208,30 @@ mod tests {
         });
         let message = "made up; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
         assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
+    }
+
+    /// In either way in which this program stops it. Otherwise it would be reported as commanded, or off, from then on.
+    #[test]
+    fn own_stop_ends_what_another_master_has_commanded_before() {
+        let is_noted = |session: &Session| {
+            let master = &session.master;
+            master.moved_on.contains(MotorId::MIN) || master.is_off(MotorId::MIN)
+        };
+        for data in [[0xA1, 0, 0, 0, 1, 0, 0, 0], Shutdown.encode()] {
+            for is_request in [true, false] {
+                let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+                let once = Sends::Once(Duration::from_millis(10));
+                OtherMaster::attach(&fleet, to_first(data), once);
+                let mut session = Session::on(&fleet);
+                session.wait_until(Instant::from_millis(50)).unwrap();
+                assert!(is_noted(&session));
+                match is_request {
+                    true => _ = session.ask(MotorId::MIN, Stop).unwrap(),
+                    false => session.confirm_stop(StopKind::Hold, MotorId::MIN.into()).unwrap(),
+                }
+                assert!(!is_noted(&session), "{data:02X?} {is_request}");
+            }
+        }
     }
 
     #[test]
