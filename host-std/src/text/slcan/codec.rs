@@ -236,6 +236,39 @@ mod tests {
         }
     }
 
+    /// As Lawicel describes them. Nothing here asks for them, so they are read as lines without a meaning.
+    #[test]
+    fn version_serial_number_and_status_are_written_as_described_and_read_as_junk() {
+        for (line, answer) in [
+            (&b"V1013\r"[..], Answer::Version(*b"1013")),
+            (b"NA123\r", Answer::SerialNumber(*b"A123")),
+            (b"F00\r", Answer::Status(0)),
+            (b"F04\r", Answer::Status(0x04)),
+            (b"FA4\r", Answer::Status(0xA4)),
+            (b"?\r", Answer::Junk),
+        ] {
+            let mut encoded = Vec::new();
+            answer.encode(&mut encoded);
+            assert_eq!(encoded, line);
+            assert_eq!(answers(line), [Answer::Junk]);
+        }
+    }
+
+    /// What begins as a frame and goes on is none, and what ends as one is none either.
+    #[test]
+    fn line_that_is_too_long_is_no_frame_whatever_it_begins_or_ends_with() {
+        let longest = b"ZT1FFFFFFF89C32640032000A00E1F3";
+        assert!(matches!(answers(&[&longest[..], b"\r"].concat())[..], [Answer::Frame(_)]));
+        for more in [&b"0"[..], b"00", b"E1F3", b"\n0"] {
+            assert_eq!(answers(&[&longest[..], more, b"\r"].concat()), [Answer::Junk], "{more:?}");
+        }
+        for before in 1..100 {
+            let line = [&vec![b'?'; before][..], b"t14181000000000000000\r"].concat();
+            assert_eq!(answers(&line), [Answer::Junk], "{before}");
+            assert_eq!(commands(&line), [AdapterCommand::Unknown], "{before}");
+        }
+    }
+
     #[test]
     fn frames_are_read_as_adapters_write_them() {
         let feedback = Answer::Frame(frame("241#9C32640032000A00"));
@@ -243,6 +276,7 @@ mod tests {
         assert_eq!(answers(b"t24189C32640032000A00E1F3\r"), [feedback]); // time stamp
         assert_eq!(answers(b"zt24189C32640032000A00\r"), [feedback]); // acknowledgement before it
         assert_eq!(answers(b"t24189C32640032000A00\r\n"), [feedback]);
+        assert_eq!(answers(b"t24189C32640032000A00\n\r"), [feedback]);
         let longest = Answer::Frame(frame("1FFFFFFF#9C32640032000A00"));
         assert_eq!(answers(b"ZT1FFFFFFF89C32640032000A00E1F3\r"), [longest]);
         assert_eq!(answers(b"r2418BEEF\r"), [Answer::Frame(frame("241#R8"))]);
