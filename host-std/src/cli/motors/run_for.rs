@@ -457,6 +457,19 @@ mod tests {
         }
     }
 
+    /// Torque does nothing against a locked brake (2.19.1), and a load would fall if nothing held it.
+    #[test]
+    fn brake_opens_while_the_motor_holds_before_a_torque_runs() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        let torque = Torque { current: Current::from_raw(100) };
+        run_to_end(&mut session, torque, (0.1, true, StopKind::Off), || {}).unwrap();
+        let mut begun = commands(&log);
+        begun.retain(|byte| [0x77, 0x81, 0xA1].contains(byte));
+        assert_eq!(begun[..3], [0x77, 0x81, 0xA1], "{begun:02X?}");
+    }
+
     #[test]
     fn final_stop_without_confirmation_is_reported_once() {
         for end in [StopKind::Hold, StopKind::Off] {
