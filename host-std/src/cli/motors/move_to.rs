@@ -172,7 +172,7 @@ mod tests {
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::time::Instant;
 
-    use super::super::simulated::{OtherMaster, Sends, to_first};
+    use super::super::simulated::{CtrlC, OtherMaster, Sends, to_first};
     use super::*;
 
     #[test]
@@ -186,6 +186,24 @@ mod tests {
         let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         assert!(message.starts_with("motor 1 has restarted, or was silent"), "{message}");
         assert!(!message.contains("resume"), "{message}");
+    }
+
+    #[test]
+    fn ctrl_c_during_a_move_stops_the_motor_at_once() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        CtrlC::attach(&fleet, &session, Duration::from_millis(300));
+        // It would take two seconds.
+        let (max_speed, angle) = (MaxSpeed::from_raw(90), Angle::from_raw(18_000));
+        let outcome = session.moving(MotorId::MIN, |session| {
+            let command = AbsolutePosition { max_speed, angle };
+            go(session, MotorId::MIN, command, &MoveLimits::default())
+        });
+        let message = "interrupted; motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that";
+        assert_eq!(outcome, Err(Unfinished::Interrupted(message.to_owned())));
+        let angle_deg = fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
+        // 27 degrees in 300 ms.
+        assert!((1.0..35.0).contains(&angle_deg), "{angle_deg}");
     }
 
     #[test]
