@@ -131,7 +131,8 @@ fn forget(session: &mut Session, motors: MotorSet) {
 /// frames may be lost.
 fn stop_line(session: &mut Session, kind: StopKind) {
     for _ in 0..STOPS_OF_LINE {
-        // Without the lift it would be sent only once. There is a place for all.
+        // Without the lift it would be sent only once. Where motors are known, as to `send`, it goes only every 100 ms,
+        // beside the stop of each. There is a place for all.
         session.master.master().lift_stop();
         let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
         while session.master.master().is_stop_to_all_waiting() {
