@@ -401,9 +401,11 @@ impl Truth {
         self.failure_is_kept = true;
     }
 
-    /// The loop has reported a failure, so it keeps none.
+    /// The loop has reported a failure, so it keeps none. If it has kept one, the failure comes when it is reported.
     pub(crate) fn failure_is_told(&mut self) {
-        self.failure_is_kept = false;
+        if std::mem::take(&mut self.failure_is_kept) {
+            self.failed = self.next_moment();
+        }
     }
 
     /// The port is full. If that lasts, the bus has failed.
