@@ -221,13 +221,14 @@ impl<E> Desk<E> {
         &self,
         key: &mut Option<u64>,
         watch: &io::Watch,
+        kind: StopKind,
     ) -> Result<Result<(), Trouble>, SharedBusError<E>> {
         let mut state = self.lock();
         if !matches!(state.life, Life::Running) {
             return Err(state.last_words());
         }
         state.check_taken_up()?;
-        let found = state.watched(key, watch).is_looked_at();
+        let found = state.watched(key, watch, kind).is_looked_at();
         self.leave(state);
         Ok(found)
     }

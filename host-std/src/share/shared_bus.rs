@@ -371,9 +371,10 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().latest(motor)
     }
 
-    /// Watches these motors, which a loop of this thread moves, and that loop. See [`Watch`].
-    pub fn watch(&self, motors: MotorSet) -> Watch<E> {
-        Watch::new(Arc::clone(&self.0.desk), motors)
+    /// Watches these motors, which a loop of this thread moves, and that loop. If it hangs, all motors are stopped as
+    /// `kind` says. See [`Watch`].
+    pub fn watch(&self, motors: MotorSet, kind: StopKind) -> Watch<E> {
+        Watch::new(Arc::clone(&self.0.desk), motors, kind)
     }
 
     /// Subscribes to all events of the bus from now on. Up to `room` events wait (at least one). Events that come while

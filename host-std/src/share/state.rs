@@ -271,20 +271,28 @@ impl<E> State<E> {
     }
 
     /// The watch with this key; one that has none begins.
-    pub(super) fn watched(&mut self, key: &mut Option<u64>, watch: &io::Watch) -> &mut Watched {
+    pub(super) fn watched(
+        &mut self,
+        key: &mut Option<u64>,
+        watch: &io::Watch,
+        kind: StopKind,
+    ) -> &mut Watched {
         let key = *key.get_or_insert_with(|| {
             self.last_watch += 1;
-            self.watches.push(Watched::new(self.last_watch, watch));
+            self.watches.push(Watched::new(self.last_watch, watch, kind));
             self.last_watch
         });
         let place = self.watches.iter().position(|watched| watched.key == key);
         &mut self.watches[place.expect("it is there until its handle is dropped")]
     }
 
-    /// Has the clerk look at what is watched, and stops all motors if a loop is late.
+    /// Has the clerk look at what is watched, and stops all motors if a loop is late. A stop of all that is in force
+    /// stays as it is: a motor that it holds must not be let go.
     pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
         let stops = self.watches.iter_mut().filter_map(|watched| clerk.watch(watched));
-        if let Some(kind) = stops.last() {
+        // What is to hold may fall.
+        let kind = stops.reduce(|one, other| if one == StopKind::Hold { one } else { other });
+        if let Some(kind) = kind.filter(|_| !self.stops_all) {
             let (answer, _nobody_waits) = Waiting::new();
             // It is refused only by a bus that has panicked.
             let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, answer });

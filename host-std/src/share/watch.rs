@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use myactuator_protocol_core::io::{self, Trouble};
-use myactuator_protocol_core::master::{Event, Master, MotorSet};
+use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::LoopError;
@@ -16,8 +16,9 @@ use crate::open::BusError;
 /// times have to be.
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
-/// all motors**, as at the end of the bus: a loop that hangs cannot. The stop latches. In all other cases the watch
-/// stops nothing: leave the loop through a [`Guard`](super::Guard).
+/// all motors**, unless all are stopped already: a loop that hangs cannot. The stop latches. The same happens if the
+/// driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases the watch stops
+/// nothing: leave the loop through a [`Guard`](super::Guard).
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -29,7 +30,7 @@ use crate::open::BusError;
 /// /// Turns an arm's motors for a second.
 /// fn turn(bus: SharedBus, arm: MotorSet, turn: Speed) -> Result<MotorSet, LoopError> {
 ///     let bus = Guard::new(bus, StopKind::Hold);
-///     let mut watch = bus.watch(arm);
+///     let mut watch = bus.watch(arm, StopKind::Hold);
 ///     for _ in 0..200 {
 ///         watch.look()?;
 ///         for motor in arm.iter() {
@@ -49,12 +50,15 @@ use crate::open::BusError;
 /// # Ok(()) }
 /// ```
 ///
-/// It begins with the first look. End it before the loop's thread does something else, such as a
-/// [`move_to`](super::SharedBus::move_to): drop it. Make a new one when the set of motors changes, and when the loop goes
-/// on after a stop. It is no handle: it does not keep the bus running.
+/// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
+/// a [`move_to`](super::SharedBus::move_to): drop it. Make a new one when the set of motors changes, and when the loop
+/// goes on after a stop. It is no handle: it does not keep the bus running.
+///
+/// On a bus in virtual time a loop is late only by the time in which calls wait.
 #[must_use = "it watches nothing before its first look"]
 pub struct Watch<E = BusError> {
     desk: Arc<Desk<E>>,
+    kind: StopKind,
     /// As it begins.
     watch: io::Watch,
     /// Its place on the desk, from the first look on.
@@ -62,8 +66,8 @@ pub struct Watch<E = BusError> {
 }
 
 impl<E: fmt::Debug + 'static> Watch<E> {
-    pub(super) const fn new(desk: Arc<Desk<E>>, motors: MotorSet) -> Self {
-        Self { desk, watch: io::Watch::new(motors, Instant::ZERO), key: None }
+    pub(super) const fn new(desk: Arc<Desk<E>>, motors: MotorSet, kind: StopKind) -> Self {
+        Self { desk, kind, watch: io::Watch::new(motors, Instant::ZERO), key: None }
     }
 
     /// How long a motor may give no feedback, and how long the loop may not look; 100 ms unless said otherwise. See
@@ -88,8 +92,8 @@ impl<E: fmt::Debug + 'static> Watch<E> {
     /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for 2 s.
     /// - [`SharedBusError::Panicked`](super::SharedBusError::Panicked): it has ended.
     pub fn look(&mut self) -> Result<(), LoopError<E>> {
-        let Self { desk, watch, key } = self;
-        Ok(desk.look(key, watch)??)
+        let Self { desk, kind, watch, key } = self;
+        Ok(desk.look(key, watch, *kind)??)
     }
 }
 
@@ -108,48 +112,74 @@ impl<E> fmt::Debug for Watch<E> {
 }
 
 /// What the thread of the bus has of a watch.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Watched {
     pub(super) key: u64,
+    /// How all motors are stopped if the loop is late.
+    kind: StopKind,
     watch: io::Watch,
     has_begun: bool,
     /// The loop has looked, and the thread has not.
     is_due: bool,
-    trouble: Option<Trouble>,
+    found: Found,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Found {
+    Nothing,
+    /// The loop does not know yet.
+    Untold(Trouble),
+    /// The loop is to leave: it was told, or is late.
+    Over(Trouble),
 }
 
 impl Watched {
-    pub(super) fn new(key: u64, watch: &io::Watch) -> Self {
-        Self { key, watch: watch.clone(), has_begun: false, is_due: false, trouble: None }
+    pub(super) fn new(key: u64, watch: &io::Watch, kind: StopKind) -> Self {
+        let (watch, found) = (watch.clone(), Found::Nothing);
+        Self { key, kind, watch, has_begun: false, is_due: false, found }
     }
 
     /// The loop looks. Returns what was found before.
-    pub(super) const fn is_looked_at(&mut self) -> Result<(), Trouble> {
+    pub(super) fn is_looked_at(&mut self) -> Result<(), Trouble> {
         self.is_due = true;
-        match self.trouble {
-            Some(trouble) => Err(trouble),
-            None => Ok(()),
-        }
+        let (Found::Untold(trouble) | Found::Over(trouble)) = self.found else { return Ok(()) };
+        self.found = Found::Over(trouble);
+        Err(trouble)
     }
 
     pub(super) fn note(&mut self, event: &Event) {
         self.watch.note(event);
     }
 
-    /// The thread looks if the loop has looked, or is late. Returns whether it is late: that is found once.
-    pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
+    /// The thread looks if the loop has looked, or is late. If it is late, returns how all motors are to be stopped,
+    /// once.
+    pub(super) fn look<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> Option<StopKind> {
         if !std::mem::replace(&mut self.has_begun, true) {
             self.watch = self.watch.anew(now);
         }
-        let is_late = self.late_after().is_some_and(|time| now > time);
-        if is_late || std::mem::take(&mut self.is_due) && self.trouble.is_none() {
-            self.trouble = self.watch.look(master, now).err();
+        let is_late = now > self.late_after()?;
+        if let (Found::Nothing, true) = (self.found, is_late || std::mem::take(&mut self.is_due)) {
+            let trouble = self.watch.look(master, now).err();
+            self.found = trouble.map_or(Found::Nothing, Found::Untold);
         }
-        is_late
+        match self.found {
+            Found::Untold(trouble) if is_late => {
+                self.found = Found::Over(trouble);
+                Some(self.kind)
+            }
+            _ => None,
+        }
     }
 
     /// Until when the loop has to look; `None` if it is to leave.
     pub(super) fn late_after(&self) -> Option<Instant> {
-        self.trouble.is_none().then(|| self.watch.late_after())
+        match self.found {
+            Found::Over(_) => None,
+            Found::Nothing | Found::Untold(_) => Some(self.watch.late_after()),
+        }
     }
 }

@@ -36,7 +36,6 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         moved: MotorSet::EMPTY,
         waiting: Vec::new(),
         turn_ends: None,
-        at_end: kind,
         late_after: None,
         taken_at: now,
         looked_at: now,
@@ -93,8 +92,6 @@ struct Worker<R: Runner<N>, const N: usize> {
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
     turn_ends: Option<Instant>,
-    /// How motors are stopped when nobody says how.
-    at_end: StopKind,
     /// Until when the first loop that is watched has to look.
     late_after: Option<Instant>,
     /// When the desk was last taken up: what is there now is no older.
@@ -249,9 +246,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
         let of_others = self.keep_alive.map(|_| look_again);
         let waits = self.waiting.iter().map(|(until, _)| *until);
-        // It is late a moment after that.
-        let late_at = self.late_after.map(|time| time + Duration::from_micros(1));
-        waits.chain(of_others).chain(self.turn_ends).chain(late_at).min()
+        waits.chain(of_others).chain(self.turn_ends).min()
     }
 
     fn idle(&mut self, desk: &Desk<R::Error>) {
@@ -260,7 +255,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         }
         let wake_at = self.wake_at();
         if desk.wakes() {
-            self.runner.idle(wake_at.unwrap_or(NEVER));
+            // A loop is late a moment after that. Otherwise rounds come often enough, and virtual time must not go on
+            // because of it.
+            let late_at = self.late_after.map(|time| time + Duration::from_micros(1));
+            self.runner.idle(wake_at.into_iter().chain(late_at).min().unwrap_or(NEVER));
         } else if wake_at.is_some()
             || !self.asked.is_empty()
             || self.runner.master().poll_at().is_some()
@@ -338,9 +336,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
 
     fn watch(&mut self, watched: &mut Watched) -> Option<StopKind> {
         let now = self.runner.now();
-        let is_late = watched.look(self.runner.master(), now);
+        let stop = watched.look(self.runner.master(), now);
         self.late_after = self.late_after.into_iter().chain(watched.late_after()).min();
-        is_late.then_some(self.at_end)
+        stop
     }
 
     fn keep_alive(&mut self, is_any_at_work: bool) {

@@ -17,8 +17,8 @@ struct Notes {
     bytes: Vec<(u8, u8)>,
     takes_questions: bool,
     looked_at: Instant,
-    /// How all motors are stopped because a watched loop is late.
-    late: Option<StopKind>,
+    /// How all motors are to be stopped because watched loops are late.
+    late: Vec<StopKind>,
     /// Of the last set-point.
     found_at: Option<Instant>,
 }
@@ -26,7 +26,7 @@ struct Notes {
 impl Clerk<CanError> for Notes {
     fn obey(&mut self, order: Order<CanError>) {
         self.noted.push(match order {
-            Order::StopAll { .. } => "stop all".to_owned(),
+            Order::StopAll { kind, .. } => format!("stop all: {kind:?}"),
             Order::Stop { motor, kind, .. } => format!("stop {motor}: {kind:?}"),
             Order::LiftStop => "lift".to_owned(),
             Order::LiftStopOf(motor) => format!("lift {motor}"),
@@ -55,7 +55,7 @@ impl Clerk<CanError> for Notes {
     fn keep_alive(&mut self, _: bool) {}
 
     fn watch(&mut self, _: &mut Watched) -> Option<StopKind> {
-        self.late
+        self.late.pop()
     }
 
     fn put(&mut self, question: Question<CanError>) -> Put<CanError> {
@@ -128,7 +128,7 @@ fn set_points_and_moves_older_than_a_stop_are_dropped() {
     // Not even when it is lifted before the thread has seen it.
     desk.order(Order::LiftStop).unwrap();
     desk.set_point(id(1), Untyped::of(&turn(5.0))).unwrap();
-    let stop_and_lift = ["stop all".to_owned(), "lift".to_owned()];
+    let stop_and_lift = ["stop all: Hold".to_owned(), "lift".to_owned()];
     assert_eq!(taken(&desk), [&stop_and_lift[..], &[set(1, 5.0), "2?".to_owned()]].concat());
 
     // A command that ends motion drops the set-point that is older, and goes before the one that is newer.
@@ -572,12 +572,28 @@ fn restart_reported_while_its_resumption_waits_blocks_nothing() {
 #[test]
 fn a_loop_that_is_late_drops_what_it_has_laid_down() {
     let desk = new_desk();
-    let mut key = None;
-    desk.look(&mut key, &Watch::new(id(1).into(), Instant::ZERO)).unwrap().unwrap();
+    let watch = Watch::new(id(1).into(), Instant::ZERO);
+    desk.look(&mut None, &watch, StopKind::Hold).unwrap().unwrap();
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
-    let mut notes = Notes { late: Some(StopKind::Hold), ..Notes::default() };
+    let mut notes = Notes { late: vec![StopKind::Hold], ..Notes::default() };
     desk.take(&mut notes);
-    assert_eq!(notes.noted, ["stop all"]);
+    assert_eq!(notes.noted, ["stop all: Hold"]);
     let refused = desk.set_point(id(1), Untyped::of(&turn(2.0))).unwrap_err();
     tells(&refused, 1, RequestError::Stopped);
+}
+
+/// A load may fall if what is to hold is let go.
+#[test]
+fn of_two_loops_that_are_late_the_one_that_holds_decides() {
+    for late in [[StopKind::Hold, StopKind::Off], [StopKind::Off, StopKind::Hold]] {
+        let desk = new_desk();
+        let watch = Watch::new(id(1).into(), Instant::ZERO);
+        for _ in late {
+            desk.look(&mut None, &watch, StopKind::Hold).unwrap().unwrap();
+        }
+        let mut notes = Notes { late: late.to_vec(), ..Notes::default() };
+        desk.take(&mut notes);
+        assert_eq!(notes.noted, ["stop all: Hold"]);
+        assert!(notes.late.is_empty(), "each was looked at");
+    }
 }

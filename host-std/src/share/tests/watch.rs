@@ -16,7 +16,7 @@ fn loop_until_trouble(
     longest_silence: Duration,
     mut in_each_cycle: impl FnMut(u32),
 ) -> LoopError<CanError> {
-    let mut watch = bus.watch(id(1).into()).longest_silence(longest_silence);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(longest_silence);
     for cycle in 0..20_000 {
         if let Err(found) = watch.look() {
             return found;
@@ -33,9 +33,13 @@ fn loop_until_trouble(
 fn a_loop_is_late_once_and_not_before_it_has_looked() {
     let master = &mut Master::<1>::new(Config::CAN);
     let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
-    let mut watched = Watched::new(1, &watch.longest_silence(Duration::from_millis(30)));
-    let mut is_late =
-        |watched: &mut Watched, at_ms| watched.look(master, Instant::from_millis(at_ms));
+    let watch = watch.longest_silence(Duration::from_millis(30));
+    let mut watched = Watched::new(1, &watch, StopKind::Off);
+    let mut is_late = |watched: &mut Watched, at_ms| {
+        let stop = watched.look(master, Instant::from_millis(at_ms));
+        assert!(stop.is_none_or(|kind| kind == StopKind::Off));
+        stop.is_some()
+    };
     assert!(!is_late(&mut watched, 1_000), "it begins here");
     assert_eq!(watched.is_looked_at(), Ok(()));
     assert!(!is_late(&mut watched, 1_010));
@@ -77,7 +81,7 @@ fn the_motors_of_a_loop_that_hangs_are_stopped() {
     assert!(fleet.drives.iter().all(|drive| drive.with(|drive| drive.state().output_on)), "held");
     // The loop goes on with a new watch.
     bus.lift_stop().unwrap();
-    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(NEVER_LATE);
     for _ in 0..10 {
         watch.look().unwrap();
         bus.set_point(id(1), turn(90.0)).unwrap();
@@ -130,8 +134,8 @@ fn is_trouble(found: &LoopError<CanError>, expected: Trouble) {
 fn a_watch_ends_when_it_is_dropped_and_before_its_first_look_it_has_not_begun() {
     let (_fleet, bus) = shared(1);
     let limit = Duration::from_millis(50);
-    let not_begun = bus.watch(id(1).into()).longest_silence(limit);
-    let mut dropped = bus.watch(id(1).into()).longest_silence(limit);
+    let not_begun = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
+    let mut dropped = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
     dropped.look().unwrap();
     drop(dropped);
     thread::sleep(time::Duration::from_millis(150));
@@ -143,7 +147,7 @@ fn a_watch_ends_when_it_is_dropped_and_before_its_first_look_it_has_not_begun() 
 #[test]
 fn a_watch_says_that_its_bus_has_ended() {
     let (_fleet, bus) = shared(1);
-    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(NEVER_LATE);
     watch.look().unwrap();
     drop(bus);
     let ended = watch.look().unwrap_err();
@@ -153,9 +157,70 @@ fn a_watch_says_that_its_bus_has_ended() {
 #[test]
 fn a_watch_says_that_its_bus_is_held() {
     let (_fleet, bus) = shared(1);
-    let mut watch = bus.watch(id(1).into()).longest_silence(NEVER_LATE);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(NEVER_LATE);
     bus.desk().lock().longest_round = time::Duration::ZERO;
     bus.desk().lock().news_since = Some(time::Instant::now());
     let held = watch.look().unwrap_err();
     assert!(matches!(held, LoopError::Call(SharedBusError::Held)), "{held}");
+}
+
+/// The loop does not know yet what was found when it hangs.
+#[test]
+fn a_loop_that_hangs_before_it_is_told_of_trouble_is_late_too() {
+    let master = &mut Master::<1>::new(Config::CAN);
+    let watch = io::Watch::new(id(1).into(), Instant::ZERO);
+    let mut watched = Watched::new(1, &watch, StopKind::Hold);
+    let ms = Instant::from_millis;
+    assert_eq!(watched.look(master, ms(0)), None);
+    watched.note(&Event::LostMaster { motor: id(1) });
+    assert_eq!(watched.is_looked_at(), Ok(()));
+    assert_eq!(watched.look(master, ms(50)), None);
+    let mut told = watched.clone();
+    // 100 ms after its last look.
+    assert_eq!(watched.late_after(), Some(ms(100)));
+    assert_eq!(watched.look(master, ms(101)), Some(StopKind::Hold));
+    assert_eq!(watched.look(master, ms(102)), None);
+    assert_eq!(watched.is_looked_at(), Err(Trouble::LostMaster(id(1))));
+    // One that was told leaves, and stops its motors itself.
+    assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
+    assert_eq!(told.look(master, ms(500)), None);
+    assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
+}
+
+/// The watch outlives the guard's stop. What that holds must not be let go, nor switched on what that lets go.
+#[test]
+fn a_late_loop_changes_no_stop_of_all_that_is_in_force() {
+    for (in_force, of_watch) in [(StopKind::Hold, StopKind::Off), (StopKind::Off, StopKind::Hold)] {
+        let (fleet, bus) = shared(1);
+        let mut watch =
+            bus.watch(id(1).into(), of_watch).longest_silence(Duration::from_millis(20));
+        watch.look().unwrap();
+        bus.set_point(id(1), turn(90.0)).unwrap();
+        assert_eq!(bus.stop_all(in_force, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+        let is_late = || bus.desk().lock().watches[0].late_after().is_none();
+        let begun = time::Instant::now();
+        while !is_late() {
+            assert!(begun.elapsed() < NOT_HELD, "it does not look, and is not late");
+            thread::sleep(time::Duration::from_millis(1));
+        }
+        bus.ask(id(1), ReadStatus1).unwrap();
+        let is_on = fleet.drives[0].with(|drive| drive.state()).output_on;
+        assert_eq!(is_on, in_force == StopKind::Hold, "{in_force:?}");
+    }
+}
+
+#[test]
+fn virtual_time_stands_still_while_a_loop_that_is_watched_does_nothing() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+    held_after(&bus, NOT_HELD);
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold);
+    watch.look().unwrap();
+    // The question of the watch, and its answer.
+    thread::sleep(time::Duration::from_millis(30));
+    let now = fleet.world.now();
+    thread::sleep(time::Duration::from_millis(30));
+    assert_eq!(fleet.world.now(), now);
+    watch.look().unwrap();
 }
