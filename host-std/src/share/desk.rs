@@ -16,6 +16,7 @@ use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
+use super::watch::Watched;
 use crate::open::{Wake, since_boot};
 
 /// So many looks share the longest round: a program that was frozen finds that the time of one look is up, and still
@@ -347,7 +348,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
-        clerk.keep_alive(state.at_work > 0);
+        clerk.keep_alive(state.at_work > 0 || state.watches.iter().any(Watched::hangs));
         matches!(state.life, Life::Running)
     }
 

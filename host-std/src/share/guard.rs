@@ -15,7 +15,7 @@ use crate::open::BusError;
 /// It waits for the motors for up to [a second](myactuator_protocol_core::io::LONGEST_STOP). Meanwhile the bus asks
 /// those that have confirmed, so that their protection (0xB3) does not let them go. With a guard for each of two buses
 /// in one thread, the second bus is stopped only after that if the first is cut. [`Guards`] stop several buses at the
-/// same time; but a bus whose motors all have confirmed asks them no more while another bus is waited for.
+/// same time.
 ///
 /// It cannot stop the motors if its scope is never left, for example when `main` returns while it lives in another
 /// thread. [What ends a shared bus](super#what-ends-it) lists the other cases.
@@ -56,7 +56,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 }
 
 /// Handles of several buses. When their thread leaves them, the motors of all buses are stopped, as by a [`Guard`] of
-/// each bus, but at the same time: a bus that is cut holds up no other. It is used like the array of the handles.
+/// each bus, but at the same time: a bus that is cut holds up no other, whose motors are asked until all have ended. It
+/// is used like the array of the handles.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -101,6 +102,8 @@ impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
     }
 
     fn stop(&self) -> [Result<MotorSet, SharedBusError<E>>; M] {
+        // The motors of each bus go on holding while another bus is waited for.
+        let _at_work = self.buses.each_ref().map(|bus| bus.desk().begin_work());
         let stops = self.buses.each_ref().map(|bus| bus.begin_stop_all(self.kind, MotorSet::EMPTY));
         stops.map(Stopping::wait)
     }

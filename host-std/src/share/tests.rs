@@ -849,6 +849,24 @@ fn guarded_buses_are_stopped_without_waiting_for_one_another() {
 }
 
 #[test]
+fn motors_of_one_bus_are_asked_while_guards_wait_for_another() {
+    let (first, second) = (shared(1), shared(1));
+    for (_, bus) in [&first, &second] {
+        bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+        bus.ask(id(1), turn(0.0)).unwrap();
+    }
+    let [(cut, cut_bus), (whole, bus)] = [first, second];
+    cut.world.cut(cut.drives[0].station());
+    let begun = std::time::Instant::now();
+    let unconfirmed = Guards::new([cut_bus, bus.clone()], StopKind::Hold).finish();
+    assert_eq!(unconfirmed.map(Result::unwrap), [id(1).into(), MotorSet::EMPTY]);
+    // As long as a stop that is not confirmed is tried.
+    assert!(begun.elapsed() > std::time::Duration::from_millis(400), "too soon to show anything");
+    let state = whole.drives[0].with(|drive| drive.state());
+    assert!(state.output_on && !state.communication_lost, "{state:?}");
+}
+
+#[test]
 fn guard_with_the_last_handle_reports_a_driver_that_does_not_return() {
     let (_fleet, order, bus) = fragile();
     hold_up(&order);

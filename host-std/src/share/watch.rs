@@ -17,8 +17,9 @@ use crate::open::BusError;
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
 /// all motors**, unless all are stopped already: a loop that hangs cannot. The stop latches. The same happens if the
-/// driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases the watch stops
-/// nothing: leave the loop through a [`Guard`](super::Guard).
+/// driver of the bus holds its thread for as long: no set-point was sent meanwhile. Until the loop looks again, or the
+/// watch is dropped, the bus asks the motors, so that their protection (0xB3) does not let them go. In all other cases
+/// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -129,8 +130,10 @@ enum Found {
     Nothing,
     /// The loop does not know yet.
     Untold(Trouble),
-    /// The loop is to leave: it was told, or is late.
-    Over(Trouble),
+    /// The loop is late, and does not know yet.
+    Late(Trouble),
+    /// The loop was told, and leaves.
+    Told(Trouble),
 }
 
 impl Watched {
@@ -142,9 +145,13 @@ impl Watched {
     /// The loop looks. Returns what was found before.
     pub(super) fn is_looked_at(&mut self) -> Result<(), Trouble> {
         self.is_due = true;
-        let (Found::Untold(trouble) | Found::Over(trouble)) = self.found else { return Ok(()) };
-        self.found = Found::Over(trouble);
-        Err(trouble)
+        match self.found {
+            Found::Nothing => Ok(()),
+            Found::Untold(trouble) | Found::Late(trouble) | Found::Told(trouble) => {
+                self.found = Found::Told(trouble);
+                Err(trouble)
+            }
+        }
     }
 
     pub(super) fn note(&mut self, event: &Event) {
@@ -168,7 +175,7 @@ impl Watched {
         }
         match self.found {
             Found::Untold(trouble) if is_late => {
-                self.found = Found::Over(trouble);
+                self.found = Found::Late(trouble);
                 Some(self.kind)
             }
             _ => None,
@@ -178,8 +185,13 @@ impl Watched {
     /// Until when the loop has to look; `None` if it is to leave.
     pub(super) fn late_after(&self) -> Option<Instant> {
         match self.found {
-            Found::Over(_) => None,
+            Found::Late(_) | Found::Told(_) => None,
             Found::Nothing | Found::Untold(_) => Some(self.watch.late_after()),
         }
+    }
+
+    /// Whether the loop hangs: nobody else speaks to the motors that were stopped because of that.
+    pub(super) const fn hangs(&self) -> bool {
+        matches!(self.found, Found::Late(_))
     }
 }

@@ -84,7 +84,7 @@ struct Worker<R: Runner<N>, const N: usize> {
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
     /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
-    /// which may hang.
+    /// which may hang. If that is a loop that is watched, all are stopped, and asked.
     keep_alive: Option<KeepAlive>,
     /// Told to move since they were last stopped. Only whoever moves them keeps them alive: it may hang.
     moved: MotorSet,

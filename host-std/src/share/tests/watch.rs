@@ -187,6 +187,23 @@ fn a_loop_that_hangs_before_it_is_told_of_trouble_is_late_too() {
     assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
 }
 
+/// A loop that hangs speaks to nobody, and its motors hold all the same.
+#[test]
+fn motors_of_a_loop_that_hangs_are_asked_until_it_looks() {
+    let (fleet, bus) = shared(1);
+    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+    let state = || fleet.drives[0].with(|drive| drive.state());
+    let _found = loop_until_trouble(&bus, Duration::from_millis(100), |cycle| {
+        if cycle == 20 {
+            thread::sleep(time::Duration::from_millis(1_000));
+            assert!(state().output_on && !state().communication_lost);
+        }
+    });
+    // Now it has looked, and asks them itself.
+    thread::sleep(time::Duration::from_millis(700));
+    assert!(state().communication_lost);
+}
+
 /// The watch outlives the guard's stop. What that holds must not be let go, nor switched on what that lets go.
 #[test]
 fn a_late_loop_changes_no_stop_of_all_that_is_in_force() {
