@@ -261,6 +261,23 @@ fn an_id_that_motors_share_is_not_given_to_another<W: Wire>() {
     }
 }
 
+/// Two are on the line already, and hardly ever understood. If the third was given their id nevertheless, it is said.
+#[test]
+fn motor_that_joins_others_of_one_id_on_a_bad_line_is_reported() {
+    for fault in ["lose=0.02", "lose=0.05", "corrupt=0.05"] {
+        let mut joined = 0;
+        for seed in 0..40 {
+            let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number))));
+            let fleet = fleet.seed(seed).faults([fault.parse().unwrap()]);
+            let bus = fleet.on_rs485(115_200).unwrap();
+            let changed = bring_up::change_id(&mut bus.master::<8>(), id(3), id(1));
+            assert!(changed.is_err(), "{fault}, seed {seed}");
+            joined += u32::from(bus.drives[2].with(|drive| drive.id()) == id(1));
+        }
+        assert!(joined < 4, "{fault}: {joined} of 40");
+    }
+}
+
 /// Noise with each frame is no sign of motors that answer at the same time.
 #[test]
 fn a_noisy_line_has_no_shared_ids() {

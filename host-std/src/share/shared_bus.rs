@@ -355,6 +355,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().order(Order::Resume(motor))
     }
 
+    /// Whether set-points and moves are refused because the motor has restarted, or may have: also after a second of
+    /// silence, whatever its run time says. Until [`resume`](Self::resume). Does not wait.
+    pub fn has_restarted(&self, motor: MotorId) -> bool {
+        self.desk().lock().has_restarted_since(motor, None)
+    }
+
     /// Gives up the place of an id without a motor; until then each stop of all waits for that id. If there is a motor
     /// later, no stop of all and no guard reaches it until it is spoken to. Nothing changes while the id is being
     /// spoken to, or while what was sent may still move a motor there. Does not wait.

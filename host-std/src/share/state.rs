@@ -228,7 +228,7 @@ impl<E> State<E> {
     }
 
     /// Whether a motor has restarted and was not resumed, or has restarted since `since`.
-    fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
+    pub(super) fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
         let has_since = since.is_some_and(|since| since.restarts != self.past(motor).restarts);
         has_since || self.restarted.contains(motor)
     }

@@ -71,24 +71,37 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 
-/// Whether motors with one id answer at the same time on a line, so that none of them is understood. Noise would come
-/// with the other id's answer, or in its place, as well.
+/// Whether motors of an id that was not found answer all the same: at the same time on a line, so that they are not
+/// understood, or only now and then. Noise alone comes now and then, or with the other id's answers as well.
 async fn collide<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
     other: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    Ok(is_garbled(runner, id).await? && !is_garbled(runner, other).await?)
+    for _ in 0..ROUNDS {
+        match hear(runner, id).await? {
+            (true, _) => return Ok(true),
+            (false, false) => return Ok(false),
+            (false, true) => {}
+        }
+    }
+    for _ in 0..ROUNDS {
+        let (_, is_garbled) = hear(runner, other).await?;
+        if !is_garbled {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
-/// Whether anything comes that is no frame when this id is asked.
-async fn is_garbled<R: AsyncRunner<N>, const N: usize>(
+/// Asks this id. Returns whether it answers, and whether anything came that is no frame.
+async fn hear<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
-) -> Result<bool, CallError<R::Error>> {
+) -> Result<(bool, bool), CallError<R::Error>> {
     let garbled = runner.master().garbled();
-    is_there(runner, id).await?;
-    Ok(runner.master().garbled() != garbled)
+    let is_there = is_there(runner, id).await?;
+    Ok((is_there, runner.master().garbled() != garbled))
 }
 
 /// Writes the id and puts it into force.
@@ -109,6 +122,10 @@ async fn write_id<R: AsyncRunner<N>, const N: usize>(
     }
     if is_there(runner, from).await? {
         return Err(BringUpError::IdShared(from));
+    }
+    // Others that had it already may have been out, or not understood.
+    if is_shared(runner, to).await? {
+        return Err(BringUpError::IdShared(to));
     }
     runner.master().forget(from);
     Ok(())

@@ -162,8 +162,8 @@ impl Watch {
         self
     }
 
-    /// Until when the loop has to look next. Then a thread, a task or an interrupt that finds the loop late may stop the
-    /// motors, which the loop cannot.
+    /// Until when the loop has to look next. After that a thread, a task or an interrupt may stop the motors, which a
+    /// loop that hangs cannot. A loop that ends has to tell whoever waits for this.
     #[must_use]
     pub fn late_after(&self) -> Instant {
         self.looked + self.longest_silence
@@ -173,7 +173,7 @@ impl Watch {
     /// last cycle were [noted](Self::note), and before you ask anything yourself: a motor that is busy is not asked.
     ///
     /// # Errors
-    /// [`Trouble`], the first that was noted.
+    /// [`Trouble`]. An error that was noted is reported once, the rest for as long as it lasts: leave the loop.
     pub fn look<const N: usize>(
         &mut self,
         master: &mut Master<N>,

@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 
 fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     let found = session.meant(Target::All)?;
-    let from = which(found, id)?;
+    let from = which(found, id, &session.garbled())?;
     if from == to {
         return say(&format!("motor {from} has this id already"));
     }
@@ -60,20 +60,21 @@ fn change(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
         .map_err(|error| session.not_brought_up(error))
 }
 
-/// The motor that is meant.
-fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
+/// The motor that is meant. What is `garbled` may be others.
+fn which(found: MotorSet, id: Option<MotorId>, garbled: &str) -> Outcome<MotorId> {
     let mut motors = found.iter();
-    match (id, motors.next(), motors.next()) {
-        (Some(id), ..) if found.contains(id) => Ok(id),
-        (None, Some(only), None) => Ok(only),
-        (Some(id), Some(only), None) => {
+    let only = motors.next().filter(|_| motors.next().is_none() && garbled.is_empty());
+    match (id, only) {
+        (Some(id), _) if found.contains(id) => Ok(id),
+        (None, Some(only)) => Ok(only),
+        (Some(id), Some(only)) => {
             Err(Unfinished::Failed(format!("the only motor has id {only}, not {id}")))
         }
-        (Some(id), ..) => {
-            Err(Unfinished::Failed(format!("no motor has id {id} (there are: {found})")))
+        (Some(id), None) => {
+            Err(Unfinished::Failed(format!("no motor has id {id} (there are: {found}){garbled}")))
         }
-        (None, ..) => Err(Unfinished::Failed(format!(
-            "--id is missing: say which motor gets another id (there are: {found})"
+        (None, None) => Err(Unfinished::Failed(format!(
+            "--id is missing: say which motor gets another id (there are: {found}){garbled}"
         ))),
     }
 }
@@ -81,8 +82,9 @@ fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::open::AnyMaster;
-    use myactuator_host_std::sim::Fleet;
+    use myactuator_host_std::sim::{Fleet, MotorSetup};
     use myactuator_protocol_core::drive::Quirks;
+    use myactuator_protocol_core::time::Duration;
 
     use super::super::{
         odd_drive,
@@ -114,6 +116,21 @@ mod tests {
         assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x79));
         let there: Vec<u8> = session.meant(Target::All).unwrap().iter().map(MotorId::get).collect();
         assert_eq!(there, [1, 3, 7]);
+    }
+
+    /// Two that answer at the same time on a line.
+    #[test]
+    fn a_motor_is_not_the_only_one_if_others_are_not_understood() {
+        let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number))));
+        let at_once = Duration::from_millis(1);
+        let fleet = fleet.response(at_once, at_once).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let garbled = "(there are: 3), but bytes arrive that are no valid frame";
+        for from in [None, Some(id(1))] {
+            let message = failed(run_on(&mut session, from, id(2)));
+            assert!(message.contains(garbled), "{message}");
+        }
+        assert_eq!(fleet.drives[2].with(|drive| drive.stored_settings().id), id(3));
     }
 
     #[test]

@@ -112,6 +112,9 @@ fn a_restart_of_a_motor_that_goes_on_answering_ends_its_loop() {
         }
     });
     is_trouble(&found, Trouble::Restarted(id(1)));
+    assert!(bus.has_restarted(id(1)));
+    bus.resume(id(1)).unwrap();
+    assert!(!bus.has_restarted(id(1)));
 }
 
 #[test]
