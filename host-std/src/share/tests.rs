@@ -889,6 +889,41 @@ fn guard_with_the_last_handle_stops_a_dead_motor_once() {
     assert_eq!(stops, 15);
 }
 
+/// Nobody knows that the motor may turn.
+#[test]
+fn last_handle_stops_all_again_if_nobody_has_waited_for_the_stop() {
+    let (fleet, bus) = shared(2);
+    bus.ask(id(1), turn(90.0)).unwrap();
+    let mut events = bus.subscribe(10_000);
+    // The other one goes on acknowledging frames.
+    fleet.world.cut(fleet.drives[0].station());
+    drop(bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY));
+    assert!(events.any(|event| matches!(event, Event::StopUnconfirmed { .. })));
+    fleet.world.mend(fleet.drives[0].station());
+    drop(bus);
+    fleet.world.run_for(Duration::from_millis(100));
+    let angle = || fleet.drives[0].with(|drive| drive.state()).angle_deg;
+    let stopped_at = angle();
+    fleet.world.run_for(Duration::from_millis(100));
+    assert!((angle() - stopped_at).abs() < 0.01, "it turns");
+}
+
+/// The thread of the bus takes up the stop, its end and a set-point at the same time.
+#[test]
+fn last_handle_stops_what_was_moved_before_the_stop_was_over() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    hold_up(&order);
+    let stop = bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY);
+    bus.lift_stop().unwrap();
+    bus.set_point(id(1), turn(90.0)).unwrap();
+    order.store(WORK, Ordering::SeqCst);
+    assert_eq!(stop.wait().unwrap(), MotorSet::EMPTY);
+    let log = fleet.world.log();
+    drop(bus);
+    assert_eq!(packets(&log).last().map(|packet| packet.data[0]), Some(0x81));
+}
+
 /// The motor was not among those that were stopped, or may have restarted since.
 #[test]
 fn last_handle_stops_all_again_if_anything_was_asked_since() {

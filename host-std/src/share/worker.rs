@@ -40,22 +40,21 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         taken_at: now,
         looked_at: now,
         has_failed: false,
-        stopped_all: None,
+        all_stopped: None,
     };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = &outcome {
         desk.has_panicked(words(&**payload));
     }
-    let Worker { mut runner, asked, stopping, waiting, stopped_all, .. } = worker;
+    let Worker { mut runner, asked, stopping, waiting, all_stopped, .. } = worker;
     // Callers that wait find out now, and need not wait for the stop, unless it is a stop that they wait for. After a
     // panic nothing ends that.
     drop((asked, waiting));
     let stopping = if outcome.is_ok() { stopping } else { Vec::new() };
-    // A caller has just waited for this stop, and nothing was done since.
     let now = runner.now();
-    let is_just_over = stopped_all
-        .is_some_and(|(it, at)| it == kind && now - at < LONGEST_STOP && stopping.is_empty());
-    if outcome.is_ok() && is_just_over {
+    // Whoever has waited for this stop knows what it has reached, and need not wait again.
+    let is_told = all_stopped.is_some_and(|(it, at)| it == kind && now - at < LONGEST_STOP);
+    if outcome.is_ok() && is_told && stopping.is_empty() {
         return desk.end();
     }
     let all = runner.master().motors();
@@ -100,8 +99,9 @@ struct Worker<R: Runner<N>, const N: usize> {
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
-    /// How a caller has stopped all motors, and when that was called for or over. Nothing was asked or ordered since.
-    stopped_all: Option<(StopKind, Instant)>,
+    /// How all motors were stopped, and when a caller was told which have not confirmed it. Nothing was asked or
+    /// ordered since.
+    all_stopped: Option<(StopKind, Instant)>,
 }
 
 /// A question that was put.
@@ -114,6 +114,8 @@ struct Asked<E> {
 
 /// A stop that a caller waits for.
 struct Stopping<E> {
+    /// How it stops all motors, if it does, and nothing was asked or ordered since.
+    of_all: Option<StopKind>,
     /// Those that have not confirmed it so far.
     unconfirmed: MotorSet,
     /// Those of them that still may.
@@ -217,13 +219,13 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
             let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
-                if let Some((_, at)) = &mut self.stopped_all {
-                    *at = now;
-                }
                 for motor in stop.running.iter() {
                     desk.publish(&Event::StopUnconfirmed { motor });
                 }
-                let _ = stop.answer.send(Ok(stop.unconfirmed));
+                let is_told = stop.answer.send(Ok(stop.unconfirmed)).is_ok();
+                if let Some(kind) = stop.of_all.filter(|_| is_told) {
+                    self.all_stopped = Some((kind, now));
+                }
             }
             !is_over
         });
@@ -292,32 +294,38 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         self.runner.idle(until);
     }
 
+    /// Something is asked or ordered: no stop before it is the last word.
+    fn note_work(&mut self) {
+        self.all_stopped = None;
+        self.stopping.iter_mut().for_each(|stop| stop.of_all = None);
+    }
+
     fn await_stop(
         &mut self,
+        of_all: Option<StopKind>,
         running: MotorSet,
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
     ) {
         let unconfirmed = running.with(also);
-        self.stopping.push(Stopping { unconfirmed, running, elapsed: Elapsed::default(), answer });
+        let elapsed = Elapsed::default();
+        self.stopping.push(Stopping { of_all, unconfirmed, running, elapsed, answer });
     }
 }
 
 impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     fn obey(&mut self, order: Order<R::Error>) {
-        let now = self.runner.now();
-        self.stopped_all = None;
+        self.note_work();
         let master = self.runner.master();
         match order {
             Order::StopAll { kind, also, answer } => {
-                self.stopped_all = Some((kind, now));
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
-                self.await_stop(running, also, answer);
+                self.await_stop(Some(kind), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
-                Ok(()) => self.await_stop(motor.into(), MotorSet::EMPTY, answer),
+                Ok(()) => self.await_stop(None, motor.into(), MotorSet::EMPTY, answer),
                 Err(refusal) => {
                     let _ = answer.send(Err(SharedBusError::Refused { motor, refusal }));
                 }
@@ -358,7 +366,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         set_point: Untyped,
         found_at: Instant,
     ) -> Result<(), RequestError> {
-        self.stopped_all = None;
+        self.note_work();
         self.moved.insert(motor);
         self.runner.master().set_point(motor, set_point, found_at)
     }
@@ -372,7 +380,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     }
 
     fn put(&mut self, mut question: Question<R::Error>) -> Put<R::Error> {
-        self.stopped_all = None;
+        self.note_work();
         let now = self.runner.now();
         let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
         let Question { motor, command, insistence, .. } = question;
