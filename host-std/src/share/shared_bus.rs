@@ -377,8 +377,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().latest(motor)
     }
 
-    /// Watches these motors, which a loop of this thread moves, and that loop. If it hangs, all motors are stopped as
-    /// `kind` says. See [`Watch`].
+    /// Watches these motors, which a loop of this thread moves, and that loop. If it hangs, all motors are stopped, as
+    /// `kind` says unless another watch is to hold its motors. See [`Watch`].
     pub fn watch(&self, motors: MotorSet, kind: StopKind) -> Watch<E> {
         Watch::new(Arc::clone(&self.0.desk), motors, kind)
     }

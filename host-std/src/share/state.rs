@@ -142,8 +142,8 @@ pub(super) trait Clerk<E> {
     /// Puts a question.
     fn put(&mut self, question: Question<E>) -> Put<E>;
 
-    /// Looks at what is watched. If its loop is late, returns how all motors are to be stopped.
-    fn watch(&mut self, watched: &mut Watched) -> Option<StopKind>;
+    /// Looks at what is watched. True if its loop is late.
+    fn watch(&mut self, watched: &mut Watched) -> bool;
 
     /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus.
     fn keep_alive(&mut self, is_any_at_work: bool);
@@ -289,10 +289,14 @@ impl<E> State<E> {
     /// Has the clerk look at what is watched, and stops all motors if a loop is late. A stop of all that is in force
     /// stays as it is: a motor that it holds must not be let go.
     pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
-        let stops = self.watches.iter_mut().filter_map(|watched| clerk.watch(watched));
-        // What is to hold may fall.
-        let kind = stops.reduce(|one, other| if one == StopKind::Hold { one } else { other });
-        if let Some(kind) = kind.filter(|_| !self.stops_all) {
+        let mut is_any_late = false;
+        for watched in &mut self.watches {
+            is_any_late |= clerk.watch(watched);
+        }
+        if is_any_late && !self.stops_all {
+            // What another loop is to hold may fall, and that loop may be late in a moment.
+            let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold);
+            let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
             let (answer, _nobody_waits) = Waiting::new();
             // It is refused only by a bus that has panicked.
             let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, answer });

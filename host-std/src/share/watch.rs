@@ -16,10 +16,11 @@ use crate::open::BusError;
 /// times have to be.
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
-/// all motors**, unless all are stopped already: a loop that hangs cannot. The stop latches. The same happens if the
-/// driver of the bus holds its thread for as long: no set-point was sent meanwhile. Until the loop looks again, or the
-/// watch is dropped, the bus asks the motors, so that their protection (0xB3) does not let them go. In all other cases
-/// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
+/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch of the bus is to
+/// hold its motors, else switched off. The stop latches. The same happens if the driver of the bus holds its thread for
+/// as long: no set-point was sent meanwhile. Until the loop looks again, or the watch is dropped, the bus asks the
+/// motors, so that their protection (0xB3) does not let them go. In all other cases the watch stops nothing: leave the
+/// loop through a [`Guard`](super::Guard).
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -52,7 +53,7 @@ use crate::open::BusError;
 /// ```
 ///
 /// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
-/// a [`move_to`](super::SharedBus::move_to): drop it. Make a new one when the set of motors changes, and when the loop
+/// a [`move_to`](super::SharedBus::move_to), also after trouble: drop it. Make a new one when the set of motors changes, and when the loop
 /// goes on after a stop. It is no handle: it does not keep the bus running.
 ///
 /// On a bus in virtual time a loop is late only by the time in which calls wait.
@@ -116,8 +117,8 @@ impl<E> fmt::Debug for Watch<E> {
 #[derive(Clone, Debug)]
 pub(super) struct Watched {
     pub(super) key: u64,
-    /// How all motors are stopped if the loop is late.
-    kind: StopKind,
+    /// How its motors are to be stopped if a loop is late.
+    pub(super) kind: StopKind,
     watch: io::Watch,
     has_begun: bool,
     /// The loop has looked, and the thread has not.
@@ -132,7 +133,7 @@ enum Found {
     Untold(Trouble),
     /// The loop is late, and does not know yet.
     Late(Trouble),
-    /// The loop was told, and leaves.
+    /// The loop was told, and is to leave.
     Told(Trouble),
 }
 
@@ -158,36 +159,33 @@ impl Watched {
         self.watch.note(event);
     }
 
-    /// The thread looks if the loop has looked, or is late. If it is late, returns how all motors are to be stopped,
-    /// once.
-    pub(super) fn look<const N: usize>(
-        &mut self,
-        master: &mut Master<N>,
-        now: Instant,
-    ) -> Option<StopKind> {
+    /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be stopped.
+    pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
+        let has_looked = std::mem::take(&mut self.is_due);
         if !std::mem::replace(&mut self.has_begun, true) {
             self.watch = self.watch.anew(now);
         }
-        let is_late = now > self.late_after()?;
-        if let (Found::Nothing, true) = (self.found, is_late || std::mem::take(&mut self.is_due)) {
+        // Also a loop that was told may hang before it has left.
+        if let (Found::Told(_), true) = (self.found, has_looked) {
+            self.watch = self.watch.anew(now);
+        }
+        let is_late = self.late_after().is_some_and(|time| now > time);
+        if let (Found::Nothing, true) = (self.found, has_looked || is_late) {
             let trouble = self.watch.look(master, now).err();
             self.found = trouble.map_or(Found::Nothing, Found::Untold);
         }
         match self.found {
-            Found::Untold(trouble) if is_late => {
+            Found::Untold(trouble) | Found::Told(trouble) if is_late => {
                 self.found = Found::Late(trouble);
-                Some(self.kind)
+                true
             }
-            _ => None,
+            _ => false,
         }
     }
 
-    /// Until when the loop has to look; `None` if it is to leave.
+    /// Until when the loop has to look; `None` if it was late.
     pub(super) fn late_after(&self) -> Option<Instant> {
-        match self.found {
-            Found::Late(_) | Found::Told(_) => None,
-            Found::Nothing | Found::Untold(_) => Some(self.watch.late_after()),
-        }
+        (!self.hangs()).then(|| self.watch.late_after())
     }
 
     /// Whether the loop hangs: nobody else speaks to the motors that were stopped because of that.

@@ -342,11 +342,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         }
     }
 
-    fn watch(&mut self, watched: &mut Watched) -> Option<StopKind> {
+    fn watch(&mut self, watched: &mut Watched) -> bool {
         let now = self.runner.now();
-        let stop = watched.look(self.runner.master(), now);
+        let is_late = watched.look(self.runner.master(), now);
         self.late_after = self.late_after.into_iter().chain(watched.late_after()).min();
-        stop
+        is_late
     }
 
     fn keep_alive(&mut self, is_any_at_work: bool) {

@@ -17,8 +17,8 @@ struct Notes {
     bytes: Vec<(u8, u8)>,
     takes_questions: bool,
     looked_at: Instant,
-    /// How all motors are to be stopped because watched loops are late.
-    late: Vec<StopKind>,
+    /// Whether the watched loops are late, from the last to the first.
+    late: Vec<bool>,
     /// Of the last set-point.
     found_at: Option<Instant>,
 }
@@ -54,8 +54,8 @@ impl Clerk<CanError> for Notes {
 
     fn keep_alive(&mut self, _: bool) {}
 
-    fn watch(&mut self, _: &mut Watched) -> Option<StopKind> {
-        self.late.pop()
+    fn watch(&mut self, _: &mut Watched) -> bool {
+        self.late.pop().unwrap()
     }
 
     fn put(&mut self, question: Question<CanError>) -> Put<CanError> {
@@ -575,25 +575,30 @@ fn a_loop_that_is_late_drops_what_it_has_laid_down() {
     let watch = Watch::new(id(1).into(), Instant::ZERO);
     desk.look(&mut None, &watch, StopKind::Hold).unwrap().unwrap();
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
-    let mut notes = Notes { late: vec![StopKind::Hold], ..Notes::default() };
+    let mut notes = Notes { late: vec![true], ..Notes::default() };
     desk.take(&mut notes);
     assert_eq!(notes.noted, ["stop all: Hold"]);
     let refused = desk.set_point(id(1), Untyped::of(&turn(2.0))).unwrap_err();
     tells(&refused, 1, RequestError::Stopped);
 }
 
-/// A load may fall if what is to hold is let go.
+/// A load may fall if what is to hold is let go, also if its loop is late only a moment after the other.
 #[test]
-fn of_two_loops_that_are_late_the_one_that_holds_decides() {
-    for late in [[StopKind::Hold, StopKind::Off], [StopKind::Off, StopKind::Hold]] {
-        let desk = new_desk();
-        let watch = Watch::new(id(1).into(), Instant::ZERO);
-        for _ in late {
-            desk.look(&mut None, &watch, StopKind::Hold).unwrap().unwrap();
+fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
+    use StopKind::{Hold, Off};
+    for (kinds, expected) in
+        [([Hold, Off], "Hold"), ([Off, Hold], "Hold"), ([Hold, Hold], "Hold"), ([Off, Off], "Off")]
+    {
+        for late in [[true, false], [false, true], [true, true]] {
+            let desk = new_desk();
+            let watch = Watch::new(id(1).into(), Instant::ZERO);
+            for kind in kinds {
+                desk.look(&mut None, &watch, kind).unwrap().unwrap();
+            }
+            let mut notes = Notes { late: late.to_vec(), ..Notes::default() };
+            desk.take(&mut notes);
+            assert_eq!(notes.noted, [format!("stop all: {expected}")]);
+            assert!(notes.late.is_empty(), "each was looked at");
         }
-        let mut notes = Notes { late: late.to_vec(), ..Notes::default() };
-        desk.take(&mut notes);
-        assert_eq!(notes.noted, ["stop all: Hold"]);
-        assert!(notes.late.is_empty(), "each was looked at");
     }
 }

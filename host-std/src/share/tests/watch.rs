@@ -35,22 +35,22 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
     let watch = watch.longest_silence(Duration::from_millis(30));
     let mut watched = Watched::new(1, &watch, StopKind::Off);
-    let mut is_late = |watched: &mut Watched, at_ms| {
-        let stop = watched.look(master, Instant::from_millis(at_ms));
-        assert!(stop.is_none_or(|kind| kind == StopKind::Off));
-        stop.is_some()
-    };
-    assert!(!is_late(&mut watched, 1_000), "it begins here");
+    let ms = Instant::from_millis;
+    assert!(!watched.look(master, ms(1_000)), "it begins here");
     assert_eq!(watched.is_looked_at(), Ok(()));
-    assert!(!is_late(&mut watched, 1_010));
-    assert_eq!(watched.late_after(), Some(Instant::from_millis(1_040)));
-    assert!(!is_late(&mut watched, 1_040));
-    assert!(is_late(&mut watched, 1_041));
-    for at_ms in [1_042, 2_000] {
-        assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
-        assert_eq!(watched.late_after(), None);
-        assert!(!is_late(&mut watched, at_ms), "it is stopped once");
-    }
+    assert!(!watched.look(master, ms(1_010)));
+    assert_eq!(watched.late_after(), Some(ms(1_040)));
+    assert!(!watched.look(master, ms(1_040)));
+    assert!(watched.look(master, ms(1_041)));
+    assert!(!watched.look(master, ms(1_042)), "it is stopped once");
+    assert_eq!((watched.late_after(), watched.hangs()), (None, true));
+    // It looks again, and hangs again.
+    assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
+    assert!(!watched.hangs());
+    assert!(!watched.look(master, ms(2_000)));
+    assert_eq!(watched.late_after(), Some(ms(2_030)));
+    assert!(watched.look(master, ms(2_031)));
+    assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
 }
 
 #[test]
@@ -86,6 +86,23 @@ fn the_motors_of_a_loop_that_hangs_are_stopped() {
         watch.look().unwrap();
         bus.set_point(id(1), turn(90.0)).unwrap();
         thread::sleep(time::Duration::from_millis(1));
+    }
+}
+
+/// Nothing else wakes the thread of the bus.
+#[test]
+fn of_two_loops_the_one_that_is_late_first_is_noticed() {
+    let soon = Duration::from_millis(50);
+    for limits in [[soon, NEVER_LATE], [NEVER_LATE, soon]] {
+        let (_fleet, bus) = shared(2);
+        bus.ask(id(1), turn(90.0)).unwrap();
+        let mut events = bus.subscribe(10_000);
+        let begun = time::Instant::now();
+        let mut watches =
+            limits.map(|limit| bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit));
+        watches.iter_mut().for_each(|watch| watch.look().unwrap());
+        assert!(events.any(|event| event == Event::StopConfirmed { motor: id(1) }));
+        assert!(begun.elapsed() < NOT_HELD / 2, "only the other was noticed");
     }
 }
 
@@ -167,26 +184,30 @@ fn a_watch_says_that_its_bus_is_held() {
     assert!(matches!(held, LoopError::Call(SharedBusError::Held)), "{held}");
 }
 
-/// The loop does not know yet what was found when it hangs.
+/// Before it knows what was found, and before it has left because of that.
 #[test]
-fn a_loop_that_hangs_before_it_is_told_of_trouble_is_late_too() {
+fn a_loop_that_hangs_after_trouble_is_late_too() {
     let master = &mut Master::<1>::new(Config::CAN);
     let watch = io::Watch::new(id(1).into(), Instant::ZERO);
     let mut watched = Watched::new(1, &watch, StopKind::Hold);
     let ms = Instant::from_millis;
-    assert_eq!(watched.look(master, ms(0)), None);
+    assert!(!watched.look(master, ms(0)));
     watched.note(&Event::LostMaster { motor: id(1) });
     assert_eq!(watched.is_looked_at(), Ok(()));
-    assert_eq!(watched.look(master, ms(50)), None);
+    assert!(!watched.look(master, ms(50)));
     let mut told = watched.clone();
-    // 100 ms after its last look.
+    // 100 ms after the last look that found nothing.
     assert_eq!(watched.late_after(), Some(ms(100)));
-    assert_eq!(watched.look(master, ms(101)), Some(StopKind::Hold));
-    assert_eq!(watched.look(master, ms(102)), None);
+    assert!(watched.look(master, ms(101)));
+    assert!(!watched.look(master, ms(102)));
     assert_eq!(watched.is_looked_at(), Err(Trouble::LostMaster(id(1))));
-    // One that was told leaves, and stops its motors itself.
     assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
-    assert_eq!(told.look(master, ms(500)), None);
+    // 100 ms after it was told.
+    assert!(!told.look(master, ms(60)));
+    assert_eq!(told.late_after(), Some(ms(160)));
+    assert!(!told.look(master, ms(160)));
+    assert!(told.look(master, ms(161)));
+    assert!(!told.look(master, ms(162)));
     assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
 }
 
