@@ -794,6 +794,8 @@ mod tests {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
         fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+        // A busy machine holds this thread up for no more than half of that, while virtual time goes on.
+        fleet.world.run_for(Duration::from_secs(60));
         let (port, clock) = (Forgetful(fleet.world.port(), false), fleet.world.clock());
         let master = CanMaster::<_, _, { MotorId::COUNT }>::new(port, clock, Config::CAN);
         let bus = SharedBus::new(master, StopKind::Hold);

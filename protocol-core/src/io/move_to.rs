@@ -1,6 +1,6 @@
 //! Moves a motor to an angle and watches it until it is there.
 
-use core::ops::ControlFlow;
+use core::ops::{ControlFlow, Range};
 
 use crate::command::{
     AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadRunTime,
@@ -225,14 +225,15 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         last = look;
         // After a restart the target is no longer where it was.
         bus.may_move(motor).map_err(CallError::refused(motor))?;
+        // The caller may have been held up since the motor was asked: what it says is from between `at` and now.
         let now = bus.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
         let distance = angle.raw().abs_diff(target.raw());
         let tolerance = limits.tolerance.raw().unsigned_abs();
         let has_arrived = distance <= tolerance && feedback.speed.raw() == 0;
         last_turn.note(feedback.speed, now);
-        let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
-        let is_time_up = progress.time > time;
+        let has_stalled = nearest.has_stalled(distance, tolerance, at..now, limits.stalled_after);
+        let is_time_up = at - start > time;
         let is_over = has_arrived || has_stalled || is_time_up;
         // An error may just have come. Then the motor does not hold where it stands, or comes no nearer because of the
         // error.
@@ -262,7 +263,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
             return Ok(progress);
         }
         if has_stalled {
-            return end_of_stall(progress, limits, &last_turn, now);
+            return end_of_stall(progress, limits, &last_turn, at);
         }
         if is_time_up {
             return Err(MoveFailure::TimedOut { at: angle, target });
@@ -286,10 +287,10 @@ fn end_of_stall<E>(
     progress: MoveProgress,
     limits: &MoveLimits,
     last_turn: &LastTurn,
-    now: Instant,
+    asked_at: Instant,
 ) -> Result<MoveProgress, MoveFailure<E>> {
     let MoveProgress { from, target, angle: at, .. } = progress;
-    if last_turn.is_recent(now, limits.stalled_after) {
+    if last_turn.is_recent(asked_at, limits.stalled_after) {
         return Err(MoveFailure::Turning { at, target, speed: last_turn.speed });
     }
     let distance = |angle: Angle| angle.raw().abs_diff(target.raw());
@@ -327,18 +328,19 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// Whether it has come no nearer for `after`. Coming nearer by less than the tolerance does not count.
+    /// Whether it has come no nearer for `after`, when it was `distance` away at some time of this look. Coming nearer by
+    /// less than the tolerance does not count.
     fn has_stalled(
         &mut self,
         distance: u32,
         tolerance: u32,
-        now: Instant,
+        look: Range<Instant>,
         after: Duration,
     ) -> bool {
         if distance.saturating_add(tolerance) < self.distance {
-            *self = Self { distance, since: now };
+            *self = Self { distance, since: look.end };
         }
-        now - self.since > after
+        look.start - self.since > after
     }
 }
 
@@ -413,10 +415,12 @@ mod tests {
         let at = Instant::from_millis;
         let after = Duration::from_millis(100);
         let mut nearest = Nearest { distance: u32::MAX, since: at(0) };
-        assert!(!nearest.has_stalled(1_000, 20, at(10), after));
-        assert!(!nearest.has_stalled(970, 20, at(90), after), "it came nearer");
-        assert!(!nearest.has_stalled(960, 20, at(190), after));
-        assert!(nearest.has_stalled(955, 20, at(191), after), "by a creep");
+        let look = |began_ms| at(began_ms)..at(began_ms + 5);
+        assert!(!nearest.has_stalled(1_000, 20, look(10), after));
+        assert!(!nearest.has_stalled(970, 20, look(90), after), "it came nearer");
+        // From the end of that look to the beginning of this one.
+        assert!(!nearest.has_stalled(960, 20, look(195), after));
+        assert!(nearest.has_stalled(955, 20, look(196), after), "by a creep");
     }
 
     /// What becomes of one that began at 0, is to be at 40 degrees, turned for the last time so long ago, and stands
@@ -467,7 +471,7 @@ mod tests {
         let at = Instant::from_millis;
         let after = Duration::from_millis(100);
         let mut nearest = Nearest { distance: u32::MAX, since: at(0) };
-        assert!(!nearest.has_stalled(1_000, 0, at(10), after));
-        assert!(nearest.has_stalled(1_000, 0, at(111), after));
+        assert!(!nearest.has_stalled(1_000, 0, at(10)..at(10), after));
+        assert!(nearest.has_stalled(1_000, 0, at(111)..at(111), after));
     }
 }
