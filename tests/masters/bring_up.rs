@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
@@ -16,13 +17,14 @@ use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner, SerialMaster};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, Opcode, RequestError};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
+use myactuator_tests::tapped::Tapped;
 use myactuator_tests::values::{id, millis, push, turn};
 use myactuator_tests::wire::Wire;
 
@@ -291,6 +293,43 @@ fn a_noisy_line_has_no_shared_ids() {
         assert_eq!(changed, expected);
         assert!(runner.garbled() > 10);
     }
+}
+
+/// Noise comes every 5 to 20 ms, whoever is asked.
+#[test]
+fn noise_that_comes_by_time_is_no_shared_id() {
+    for interval_ms in [5, 10, 20] {
+        for seed in 0..20 {
+            let bus = Fleet::new(1).seed(seed).on_rs485(115_200).unwrap();
+            let interval = Duration::from_micros(1_000 * interval_ms + 31 * seed);
+            let noise = Babble { interval, frame: Some(vec![0x5A]) };
+            bus.world.babble(bus.world.port().station(), Some(noise));
+            bus.world.run_for(Duration::from_micros(137 * seed));
+            let changed = bring_up::change_id(&mut bus.master::<8>(), id(5), id(9));
+            assert_eq!(changed, Err(BringUpError::NotThere(id(5))), "{interval_ms} ms, {seed}");
+        }
+    }
+}
+
+/// What motor 2 says is disturbed for half a second, while it is looked for.
+#[test]
+fn motor_that_was_not_understood_at_first_is_there() {
+    let change_id = |from, to| {
+        let bus = Fleet::new(2).on_rs485(115_200).unwrap();
+        let disturb = |plan| {
+            bus.world.set_node_faults(bus.drives[1].station(), Direction::ToPorts, plan);
+        };
+        disturb(Some(FaultPlan { corrupt: 1.0, ..FaultPlan::NONE }));
+        let until_then = |event| {
+            if bus.world.now() > Instant::from_millis(500) {
+                disturb(None);
+            }
+            event
+        };
+        bring_up::change_id(&mut Tapped(&mut bus.master::<8>(), until_then), id(from), id(to))
+    };
+    assert_eq!(change_id(1, 2), Err(BringUpError::IdTaken(id(2))));
+    assert_eq!(change_id(2, 9), Ok(()));
 }
 
 fn refused_write_to_a_stopped_motor_leaves_it_holding<W: Wire>() {

@@ -9,6 +9,7 @@ pub mod listen;
 pub mod requirements;
 pub mod rig;
 pub mod script;
+pub mod tapped;
 pub mod values;
 pub mod vectors;
 pub mod wire;

@@ -44,18 +44,21 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     let (mut there, garbled) = (MotorSet::EMPTY, runner.master().garbled());
     find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
     let is_clean = |runner: &mut R| runner.master().garbled() == garbled;
-    if !there.contains(from) {
-        let is_shared = !is_clean(runner) && collide(runner, from, to).await?;
-        return Err(if is_shared { BringUpError::IdShared } else { BringUpError::NotThere }(from));
+    let who = async |runner: &mut R, id, other| match there.contains(id) {
+        true => Ok(Who::Somebody),
+        false if is_clean(runner) => Ok(Who::Nobody),
+        false => who_answers(runner, id, other).await,
+    };
+    match who(runner, from, to).await? {
+        Who::Nobody => return Err(BringUpError::NotThere(from)),
+        Who::Several => return Err(BringUpError::IdShared(from)),
+        Who::Somebody if from == to => return Ok(()),
+        Who::Somebody => {}
     }
-    if from == to {
-        return Ok(());
-    }
-    if there.contains(to) {
-        return Err(BringUpError::IdTaken(to));
-    }
-    if !is_clean(runner) && collide(runner, to, from).await? {
-        return Err(BringUpError::IdShared(to));
+    match who(runner, to, from).await? {
+        Who::Nobody => {}
+        Who::Several => return Err(BringUpError::IdShared(to)),
+        Who::Somebody => return Err(BringUpError::IdTaken(to)),
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
     runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
@@ -71,27 +74,42 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 
-/// Whether motors of an id that was not found answer all the same: at the same time on a line, so that they are not
-/// understood, or only now and then. Noise alone comes now and then, or with the other id's answers as well.
-async fn collide<R: AsyncRunner<N>, const N: usize>(
+/// Who has an id.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Who {
+    Nobody,
+    Somebody,
+    /// Motors that answer at the same time on a line, so that they are not understood.
+    Several,
+}
+
+/// Who has an id that the search did not find, while something came that is no frame. Noise alone comes now and then,
+/// or also when nobody is asked, or with the other id's answers, too.
+async fn who_answers<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
     other: MotorId,
-) -> Result<bool, CallError<R::Error>> {
+) -> Result<Who, CallError<R::Error>> {
     for _ in 0..ROUNDS {
+        let asked_at = runner.now();
         match hear(runner, id).await? {
-            (true, _) => return Ok(true),
-            (false, false) => return Ok(false),
+            (true, _) => return Ok(Who::Somebody),
+            (false, false) => return Ok(Who::Nobody),
             (false, true) => {}
+        }
+        let (now, garbled) = (runner.now(), runner.master().garbled());
+        runner.run_until(now + (now - asked_at), |_| {}).await?;
+        if runner.master().garbled() != garbled {
+            return Ok(Who::Nobody);
         }
     }
     for _ in 0..ROUNDS {
         let (_, is_garbled) = hear(runner, other).await?;
         if !is_garbled {
-            return Ok(true);
+            return Ok(Who::Several);
         }
     }
-    Ok(false)
+    Ok(Who::Nobody)
 }
 
 /// Asks this id. Returns whether it answers, and whether anything came that is no frame.

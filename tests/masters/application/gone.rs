@@ -5,10 +5,10 @@ use myactuator_mcu_example::{Report, StateName, Trouble, cycle};
 use myactuator_protocol_core::Data;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::{CanMaster, Runner};
-use myactuator_protocol_core::master::{Config, Event, Failure, Master, MotorSet};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_tests::fleet::lost_their_master;
 use myactuator_tests::on_both_buses;
+use myactuator_tests::tapped::Tapped;
 use myactuator_tests::values::{id, millis};
 
 use super::brakes::{before_shutdown, fallen_deg, is_off, lets_go, loaded, slips, stays_held};
@@ -31,44 +31,23 @@ on_both_buses! {
     a_motor_that_has_let_go_is_not_asked_whether_its_shaft_stands
 }
 
-/// A bus on which motor 3 answers otherwise.
-struct Altered<'a, R, F>(&'a mut R, F);
-
-impl<R: Runner<8>, F: Fn(Data) -> Option<Data>> Runner<8> for Altered<'_, R, F> {
-    type Error = R::Error;
-
-    fn master(&mut self) -> &mut Master<8> {
-        self.0.master()
-    }
-
-    fn now(&self) -> Instant {
-        self.0.now()
-    }
-
-    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
-        Ok(self.0.poll()?.map(|event| match event {
-            Event::Reply { ticket, kind, data } if ticket.motor() == id(3) => match self.1(data) {
-                Some(data) => Event::Reply { ticket, kind, data },
-                None => Event::Failed { ticket, failure: Failure::NoReply },
-            },
-            event => event,
-        }))
-    }
-
-    fn idle(&mut self, until: Instant) {
-        self.0.idle(until);
-    }
-}
-
+/// Runs with a motor 3 that answers otherwise.
 pub(super) fn run_altered<B: Moved>(
     firmware: &mut Firmware<'_, B>,
     ms: u64,
     altered: impl Fn(Data) -> Option<Data>,
 ) {
+    let alter = |event| match event {
+        Event::Reply { ticket, kind, data } if ticket.motor() == id(3) => match altered(data) {
+            Some(data) => Event::Reply { ticket, kind, data },
+            None => Event::Failed { ticket, failure: Failure::NoReply },
+        },
+        event => event,
+    };
     let Firmware { runner, app, panel, .. } = firmware;
     let end = runner.now() + millis(ms);
     while runner.now() < end {
-        cycle(app, &mut Altered(runner, &altered), panel);
+        cycle(app, &mut Tapped(runner, |event: Option<Event>| event.map(alter)), panel);
     }
 }
 

@@ -5,10 +5,11 @@ use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble, cycle}
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Config, Event, Master, MotorSet};
-use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::master::{Config, Event, MotorSet};
+use myactuator_protocol_core::time::Duration;
 use myactuator_tests::fleet::{lost_their_master, state};
 use myactuator_tests::on_both_buses;
+use myactuator_tests::tapped::Tapped;
 use myactuator_tests::values::{id, millis};
 
 use super::{Firmware, Moved, Panel, told_by, unplug};
@@ -252,40 +253,19 @@ fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
     assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Preparing)), 1);
 }
 
-/// A bus that loses the confirmations of motor 2.
-struct Unconfirmed<'a, R>(&'a mut R);
-
-impl<R: Runner<8>> Runner<8> for Unconfirmed<'_, R> {
-    type Error = R::Error;
-
-    fn master(&mut self) -> &mut Master<8> {
-        self.0.master()
-    }
-
-    fn now(&self) -> Instant {
-        self.0.now()
-    }
-
-    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
-        let lost = Event::StopConfirmed { motor: id(2) };
-        Ok(self.0.poll()?.filter(|event| *event != lost))
-    }
-
-    fn idle(&mut self, until: Instant) {
-        self.0.idle(until);
-    }
-}
-
 /// Only the search has heard it.
 fn a_motor_that_confirmed_no_stop_must_be_found_again<B: Moved>() {
     let bus = B::drives(&Fleet::new(2)).unwrap();
     let setup = Setup { search: MotorId::all().take(2).collect(), ..B::setup() };
     let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    let unless_confirmed = |event: Option<Event>| {
+        event.filter(|event| *event != Event::StopConfirmed { motor: id(2) })
+    };
     let run_for = |firmware: &mut Firmware<'_, B>, ms| {
         let Firmware { runner, app, panel, .. } = firmware;
         let end = runner.now() + millis(ms);
         while runner.now() < end {
-            cycle(app, &mut Unconfirmed(runner), panel);
+            cycle(app, &mut Tapped(runner, unless_confirmed), panel);
         }
     };
     let press = |firmware: &mut Firmware<'_, B>| {
