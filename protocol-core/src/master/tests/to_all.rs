@@ -579,6 +579,29 @@ fn duplicate_answer_to_an_ended_broadcast_confirms_no_stop() {
     assert_ne!(again, confirmed(1), "the drive has not heard the stop; first {first:?}");
 }
 
+/// The same move to all was put again and dropped. What comes is the first one, handed back, and no motor's answer.
+#[test]
+fn echo_of_a_move_to_all_proves_no_stop_after_an_equal_one_was_dropped() {
+    for is_put_again in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(step(), id(1).into()).unwrap();
+        let moved = sent(&mut master, ms(0));
+        let done = |was_sent| [Event::BroadcastDone { silent: id(1).into(), was_sent }];
+        assert_eq!(events(&mut master, ms(21)), done(true));
+        if is_put_again {
+            master.broadcast(step(), id(1).into()).unwrap();
+        }
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        if is_put_again {
+            assert_eq!(events(&mut master, ms(22)), done(false));
+        }
+        sent(&mut master, ms(22));
+        reply(&mut master, 1, moved[0].data, ms(23));
+        let hold = [0x81, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(reply(&mut master, 1, hold, ms(24)), None, "again: {is_put_again}");
+    }
+}
+
 #[test]
 fn duplicate_answer_to_an_ended_broadcast_answers_no_move() {
     let mut master = Master::<2>::new(Config::CAN);
