@@ -291,6 +291,9 @@ impl<E> State<E> {
     pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
         let mut is_any_late = false;
         for watched in &mut self.watches {
+            if self.stops_all {
+                watched.note_stop_of_all();
+            }
             is_any_late |= clerk.watch(watched);
         }
         if is_any_late && !self.stops_all {

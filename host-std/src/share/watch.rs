@@ -135,6 +135,8 @@ enum Found {
     Late(Trouble),
     /// The loop was told, and is to leave.
     Told(Trouble),
+    /// The loop was told, and all motors were stopped since.
+    Over(Trouble),
 }
 
 impl Watched {
@@ -152,11 +154,19 @@ impl Watched {
                 self.found = Found::Told(trouble);
                 Err(trouble)
             }
+            Found::Over(trouble) => Err(trouble),
         }
     }
 
     pub(super) fn note(&mut self, event: &Event) {
         self.watch.note(event);
+    }
+
+    /// All motors are stopped: a loop that was told has left, or has nothing left to move.
+    pub(super) fn note_stop_of_all(&mut self) {
+        if let Found::Told(trouble) = self.found {
+            self.found = Found::Over(trouble);
+        }
     }
 
     /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be stopped.
@@ -183,9 +193,12 @@ impl Watched {
         }
     }
 
-    /// Until when the loop has to look; `None` if it was late.
+    /// Until when the loop has to look; `None` if it was late, or need not look any more.
     pub(super) fn late_after(&self) -> Option<Instant> {
-        (!self.hangs()).then(|| self.watch.late_after())
+        match self.found {
+            Found::Late(_) | Found::Over(_) => None,
+            Found::Nothing | Found::Untold(_) | Found::Told(_) => Some(self.watch.late_after()),
+        }
     }
 
     /// Whether the loop hangs: nobody else speaks to the motors that were stopped because of that.

@@ -211,6 +211,28 @@ fn a_loop_that_hangs_after_trouble_is_late_too() {
     assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
 }
 
+/// The old watch is still there when its loop has left and something else is done.
+#[test]
+fn a_watch_ends_when_all_are_stopped_after_its_trouble() {
+    let (fleet, bus) = shared(1);
+    let limit = Duration::from_millis(100);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
+    while watch.look().is_ok() {
+        // It is refused if a busy machine holds this loop up.
+        let _ = bus.set_point(id(1), turn(90.0));
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        thread::sleep(time::Duration::from_millis(1));
+    }
+    fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    bus.lift_stop().unwrap();
+    thread::sleep(time::Duration::from_millis(200));
+    bus.ask(id(1), turn(10.0)).unwrap();
+    assert!(watch.look().is_err(), "it is over");
+    thread::sleep(time::Duration::from_millis(200));
+    bus.ask(id(1), turn(10.0)).unwrap();
+}
+
 /// A loop that hangs speaks to nobody, and its motors hold all the same.
 #[test]
 fn motors_of_a_loop_that_hangs_are_asked_until_it_looks() {
