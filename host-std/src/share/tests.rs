@@ -179,7 +179,9 @@ fn stop_by_one_thread_ends_the_moves_of_others_with_an_error() {
     assert!(bus.set_point(id(1), turn(90.0)).is_err());
     assert!(bus.ask(id(1), turn(90.0)).is_err());
     bus.ask(id(1), ReadStatus1).unwrap();
-    assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
+    // On a busy machine the stop takes long enough for the bus to ask motors that rest.
+    let sent = packets(&log);
+    assert!(sent.iter().all(|packet| [0x9A, 0xB1].contains(&packet.data[0])), "{sent:?}");
     bus.lift_stop().unwrap();
     bus.ask(id(1), turn(90.0)).unwrap();
     // One of them alone.
