@@ -752,45 +752,41 @@ fn move_given_up_by_its_caller_is_not_sent_when_the_driver_returns() {
     }
 }
 
-#[test]
-fn move_whose_turn_comes_after_a_suspension_is_not_sent() {
+/// Asks the motor the same twice: it is busy with the first until the program is suspended. Returns the outcome of the
+/// second, and the command bytes on the wire.
+fn second_after_a_suspension<C>(command: C) -> (Result<C::Reply, SharedBusError<CanError>>, Vec<u8>)
+where
+    C: Command<Reply: Debug + Send> + Copy + Send + 'static,
+{
     let (fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
     let log = fleet.world.log();
     hold_up(&order);
     let asking = thread::spawn({
         let bus = bus.clone();
-        move || bus.ask_together([(id(1), STEP), (id(1), STEP)])
+        move || bus.ask_together([(id(1), command); 2])
     });
     while bus.desk().lock().questions.len() < 2 {
         thread::yield_now();
     }
     order.store(SUSPEND_AFTER_REPLY, Ordering::SeqCst);
-    let outcomes = asking.join().unwrap();
-    assert!(outcomes[0].is_ok(), "{outcomes:?}");
-    tells(outcomes[1].as_ref().unwrap_err(), 1, RequestError::Busy);
-    let moves = packets(&log).into_iter().filter(|packet| packet.data[0] == 0xA8);
-    assert_eq!(moves.count(), 2, "one move and its answer");
+    let [first, second] = asking.join().unwrap();
+    assert!(first.is_ok(), "{first:?}");
+    (second, packets(&log).iter().map(|packet| packet.data[0]).collect())
 }
 
-/// The motor is to be off, however late it hears that. It is busy with the first one until the program is suspended.
+#[test]
+fn move_whose_turn_comes_after_a_suspension_is_not_sent() {
+    let (second, sent) = second_after_a_suspension(STEP);
+    tells(&second.unwrap_err(), 1, RequestError::Busy);
+    assert_eq!(sent, [0xA8; 2], "one move and its answer");
+}
+
+/// The motor is to be off, however late it hears that.
 #[test]
 fn shutdown_whose_turn_comes_after_a_suspension_is_sent() {
-    let (fleet, order, bus) = fragile();
-    bus.ask(id(1), ReadStatus1).unwrap();
-    let log = fleet.world.log();
-    hold_up(&order);
-    let asking = thread::spawn({
-        let bus = bus.clone();
-        move || bus.ask_together([(id(1), Shutdown), (id(1), Shutdown)])
-    });
-    while bus.desk().lock().questions.len() < 2 {
-        thread::yield_now();
-    }
-    order.store(SUSPEND_AFTER_REPLY, Ordering::SeqCst);
-    let outcomes = asking.join().unwrap();
-    assert!(outcomes.iter().all(Result::is_ok), "{outcomes:?}");
-    let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+    let (second, sent) = second_after_a_suspension(Shutdown);
+    assert!(second.is_ok(), "{second:?}");
     assert_eq!(sent, [0x80; 4], "two commands and their answers");
 }
 
