@@ -287,6 +287,21 @@ mod tests {
         assert!(rounds < 10, "{rounds}");
     }
 
+    /// Nobody has received since.
+    #[test]
+    fn idle_clock_does_not_spin_when_a_refused_frame_was_sent() {
+        let (mut can, other) = made();
+        let clock = can.clock().unwrap();
+        let [read] = frames([0x92]);
+        while can.transmit(&read).is_ok() {}
+        other.set_nonblocking(true).unwrap();
+        while other.recv(&mut [0; 16]).is_ok() {}
+        can.transmit(&read).unwrap();
+        let begun = clock.now();
+        clock.idle(begun + MOMENT);
+        assert!(clock.now() - begun >= MOMENT);
+    }
+
     /// As `linux/can.h` lays it out; bit 29 of the identifier marks a report.
     fn from_kernel(id: u32) -> Vec<u8> {
         [&id.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat()
@@ -307,6 +322,18 @@ mod tests {
         other.send(&from_kernel(0x241)).unwrap();
         assert_eq!(can.receive().unwrap().id(), StandardId::new(0x241).unwrap().into());
         can.transmit(&torque).unwrap();
+    }
+
+    #[test]
+    fn moves_are_refused_after_an_error_report_until_the_controller_recovers() {
+        let (mut can, other) = made();
+        let [torque] = frames([0xA1]);
+        // No acknowledgement; restarted.
+        for (report, is_refused) in [(0x2000_0020, true), (0x2000_0100, false)] {
+            other.send(&from_kernel(report)).unwrap();
+            assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+            assert_eq!(can.transmit(&torque).is_err(), is_refused);
+        }
     }
 
     /// The socket itself has room, so waiting for that would end at once.
