@@ -7,7 +7,7 @@ use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::bus::trace;
 use myactuator_host_std::sim::plant::{Arm, Load};
-use myactuator_host_std::sim::{BusFleet, Fleet, MotorSetup};
+use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet, MotorSetup};
 use myactuator_protocol_core::command::{
     ActiveReply, BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges,
     ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunTime, ReadStatus1, ReleaseBrake,
@@ -295,18 +295,40 @@ fn a_noisy_line_has_no_shared_ids() {
     }
 }
 
-/// Noise comes every 5 to 20 ms, whoever is asked.
+/// A byte of noise comes from time to time, whoever is asked.
+fn noisy(fleet: &Fleet, interval_ms: u64, seed: u64) -> LineFleet {
+    let bus = fleet.clone().seed(seed).on_rs485(115_200).unwrap();
+    let interval = Duration::from_micros(1_000 * interval_ms + 31 * seed);
+    let noise = Babble { interval, frame: Some(vec![0x5A]) };
+    bus.world.babble(bus.world.port().station(), Some(noise));
+    bus.world.run_for(Duration::from_micros(1_137 * seed));
+    bus
+}
+
 #[test]
 fn noise_that_comes_by_time_is_no_shared_id() {
-    for interval_ms in [5, 10, 20] {
+    for interval_ms in [5, 10, 20, 50, 100] {
         for seed in 0..20 {
-            let bus = Fleet::new(1).seed(seed).on_rs485(115_200).unwrap();
-            let interval = Duration::from_micros(1_000 * interval_ms + 31 * seed);
-            let noise = Babble { interval, frame: Some(vec![0x5A]) };
-            bus.world.babble(bus.world.port().station(), Some(noise));
-            bus.world.run_for(Duration::from_micros(137 * seed));
+            let bus = noisy(&Fleet::new(1), interval_ms, seed);
             let changed = bring_up::change_id(&mut bus.master::<8>(), id(5), id(9));
-            assert_eq!(changed, Err(BringUpError::NotThere(id(5))), "{interval_ms} ms, {seed}");
+            let expected = [BringUpError::NotThere(id(5)), BringUpError::Noise(id(5))];
+            let case = format!("{interval_ms} ms, {seed}: {changed:?}");
+            assert!(changed.is_err_and(|error| expected.contains(&error)), "{case}");
+        }
+    }
+}
+
+/// Two are on the line already, and are not understood: they answer at the same time.
+#[test]
+fn noise_that_comes_by_time_hides_no_shared_id() {
+    let fleet = Fleet::of([1, 1, 3].map(|number| MotorSetup::new(id(number))));
+    let fleet = fleet.response(millis(1), millis(1));
+    for interval_ms in [20, 80, 300, 600] {
+        for seed in 0..20 {
+            let bus = noisy(&fleet, interval_ms, seed);
+            let changed = bring_up::change_id(&mut bus.master::<8>(), id(3), id(1));
+            let stored = bus.drives[2].with(|drive| drive.stored_settings().id);
+            assert_eq!(stored, id(3), "{interval_ms} ms, {seed}: {changed:?}");
         }
     }
 }

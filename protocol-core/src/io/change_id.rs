@@ -30,6 +30,9 @@ const ANSWERED_IN: Duration = Duration::from_millis(100);
 const ATTEMPTS: usize = 3;
 /// How often the questions are put that tell two motors with one id apart.
 const ROUNDS: usize = 3;
+/// How often an id is asked whose answers are not understood, and after how many silences nobody has it.
+const QUESTIONS: usize = 10;
+const SILENCES: usize = 2;
 
 /// As [`bring_up::change_id`](crate::io::bring_up::change_id). If this future is dropped:
 ///
@@ -51,13 +54,13 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     };
     match who(runner, from, to).await? {
         Who::Nobody => return Err(BringUpError::NotThere(from)),
-        Who::Several => return Err(BringUpError::IdShared(from)),
+        Who::Unclear => return Err(unclear(runner, from).await?),
         Who::Somebody if from == to => return Ok(()),
         Who::Somebody => {}
     }
     match who(runner, to, from).await? {
         Who::Nobody => {}
-        Who::Several => return Err(BringUpError::IdShared(to)),
+        Who::Unclear => return Err(unclear(runner, to).await?),
         Who::Somebody => return Err(BringUpError::IdTaken(to)),
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
@@ -79,37 +82,48 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
 enum Who {
     Nobody,
     Somebody,
-    /// Motors that answer at the same time on a line, so that they are not understood.
-    Several,
+    /// What comes is not understood: motors that answer at the same time on a line, or much noise.
+    Unclear,
 }
 
-/// Who has an id that the search did not find, while something came that is no frame. Noise alone comes now and then,
-/// or also when nobody is asked, or with the other id's answers, too.
+/// Who has an id that the search did not find, while something came that is no frame. Noise comes now and then, or with
+/// the other id's answers as well.
 async fn who_answers<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
     other: MotorId,
 ) -> Result<Who, CallError<R::Error>> {
-    for _ in 0..ROUNDS {
-        let asked_at = runner.now();
+    let mut silences = 0;
+    for _ in 0..QUESTIONS {
         match hear(runner, id).await? {
             (true, _) => return Ok(Who::Somebody),
-            (false, false) => return Ok(Who::Nobody),
+            (false, false) => silences += 1,
             (false, true) => {}
         }
-        let (now, garbled) = (runner.now(), runner.master().garbled());
-        runner.run_until(now + (now - asked_at), |_| {}).await?;
-        if runner.master().garbled() != garbled {
+        // One question may have been lost.
+        if silences == SILENCES {
             return Ok(Who::Nobody);
         }
     }
     for _ in 0..ROUNDS {
         let (_, is_garbled) = hear(runner, other).await?;
         if !is_garbled {
-            return Ok(Who::Several);
+            return Ok(Who::Unclear);
         }
     }
     Ok(Who::Nobody)
+}
+
+/// Why it is unclear who has this id.
+async fn unclear<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<BringUpError<R::Error>, CallError<R::Error>> {
+    let garbled = runner.master().garbled();
+    let end = runner.now() + ANSWERED_IN;
+    runner.run_until(end, |_| {}).await?;
+    let is_noisy = runner.master().garbled() != garbled;
+    Ok(if is_noisy { BringUpError::Noise(id) } else { BringUpError::IdShared(id) })
 }
 
 /// Asks this id. Returns whether it answers, and whether anything came that is no frame.

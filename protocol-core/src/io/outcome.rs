@@ -48,6 +48,12 @@ pub enum BringUpError<E> {
         "two motors seem to have id {0}: it answers some questions twice or not at all; connect only one of them"
     )]
     IdShared(MotorId),
+    /// RS485: bytes that are no frame come also while nobody is asked, so that it is not known who has this id. Nothing
+    /// was written.
+    #[error(
+        "the line is too noisy to tell who has id {0}: check its ends and its ground, or connect the motor alone"
+    )]
+    Noise(MotorId),
     /// The motor turns, and would run on if it were switched off. Stop it, wait until it stands and lift that stop.
     /// Nothing was written, and it was not switched off.
     #[error("motor {motor} turns at {speed}: stop it first, and wait until it stands")]
