@@ -1,5 +1,6 @@
 //! What callers lay on the desk, and where their answers go.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -53,8 +54,20 @@ pub(super) type Awaited<T, E> = Result<Waiting<T, E>, SharedBusError<E>>;
 #[derive(Debug)]
 pub(super) struct Waiting<T, E> {
     answered: Receiver<Result<T, SharedBusError<E>>>,
-    /// Lives for as long as the caller waits.
-    pub(super) asker: Arc<()>,
+    pub(super) asker: Arc<Asker>,
+}
+
+/// A caller, for as long as it waits.
+#[derive(Debug, Default)]
+pub(super) struct Asker {
+    has_answer: AtomicBool,
+}
+
+impl Asker {
+    /// Whether it has taken its answer. One that is sent may never be looked at.
+    pub(super) fn has_answer(&self) -> bool {
+        self.has_answer.load(Ordering::Relaxed)
+    }
 }
 
 impl<T, E> Waiting<T, E> {
@@ -71,7 +84,10 @@ impl<T, E> Waiting<T, E> {
         last_words: impl FnOnce() -> SharedBusError<E>,
     ) -> Option<Result<T, SharedBusError<E>>> {
         match self.answered.recv_timeout(longest) {
-            Ok(answer) => Some(answer),
+            Ok(answer) => {
+                self.asker.has_answer.store(true, Ordering::Relaxed);
+                Some(answer)
+            }
             Err(RecvTimeoutError::Timeout) => None,
             Err(RecvTimeoutError::Disconnected) => Some(Err(last_words())),
         }
@@ -92,7 +108,7 @@ pub(super) enum Insistence {
 #[derive(Debug)]
 pub(super) struct Question<E> {
     /// Gone when the caller no longer waits for the answer.
-    pub(super) asker: Weak<()>,
+    pub(super) asker: Weak<Asker>,
     pub(super) motor: MotorId,
     pub(super) command: Untyped,
     pub(super) insistence: Insistence,
@@ -115,6 +131,7 @@ pub(super) enum Order<E> {
     StopAll {
         kind: StopKind,
         also: MotorSet,
+        asker: Arc<Asker>,
         answer: Answer<MotorSet, E>,
     },
     Stop {

@@ -148,7 +148,8 @@ impl<E> Desk<E> {
     /// Stops all motors. The answer is those that have not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
         let (answer, waiting) = Waiting::new();
-        self.order(Order::StopAll { kind, also, answer })?;
+        let asker = Arc::clone(&waiting.asker);
+        self.order(Order::StopAll { kind, also, asker, answer })?;
         Ok(waiting)
     }
 

@@ -300,9 +300,9 @@ impl<E> State<E> {
             // What another loop is to hold may fall, and that loop may be late in a moment.
             let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold);
             let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
-            let (answer, _nobody_waits) = Waiting::new();
-            // It is refused only by a bus that has panicked.
-            let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, answer });
+            let (answer, Waiting { asker, .. }) = Waiting::new();
+            // It is refused only by a bus that has panicked. Nobody waits for it.
+            let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, asker, answer });
         }
     }
 

@@ -890,23 +890,41 @@ fn guard_with_the_last_handle_stops_a_dead_motor_once() {
     assert_eq!(stops, 15);
 }
 
-/// Nobody knows that the motor may turn.
+/// Nobody knows that the motor may turn: the stop was begun, and dropped before or after it was over.
 #[test]
 fn last_handle_stops_all_again_if_nobody_has_waited_for_the_stop() {
+    for is_kept in [false, true] {
+        let (fleet, bus) = shared(2);
+        bus.ask(id(1), turn(90.0)).unwrap();
+        let mut events = bus.subscribe(10_000);
+        // The other one goes on acknowledging frames.
+        fleet.world.cut(fleet.drives[0].station());
+        let stop = Some(bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY)).filter(|_| is_kept);
+        assert!(events.any(|event| matches!(event, Event::StopUnconfirmed { .. })));
+        // In the round after that event the thread of the bus has answered.
+        thread::sleep(time::Duration::from_millis(20));
+        drop(stop);
+        fleet.world.mend(fleet.drives[0].station());
+        drop(bus);
+        fleet.world.run_for(Duration::from_millis(100));
+        let angle = || fleet.drives[0].with(|drive| drive.state()).angle_deg;
+        let stopped_at = angle();
+        fleet.world.run_for(Duration::from_millis(100));
+        assert!((angle() - stopped_at).abs() < 0.01, "it turns; kept: {is_kept}");
+    }
+}
+
+#[test]
+fn last_handle_stops_all_after_a_stop_of_one() {
     let (fleet, bus) = shared(2);
-    bus.ask(id(1), turn(90.0)).unwrap();
-    let mut events = bus.subscribe(10_000);
-    // The other one goes on acknowledging frames.
-    fleet.world.cut(fleet.drives[0].station());
-    drop(bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY));
-    assert!(events.any(|event| matches!(event, Event::StopUnconfirmed { .. })));
-    fleet.world.mend(fleet.drives[0].station());
+    for motor in [1, 2] {
+        bus.ask(id(motor), turn(90.0)).unwrap();
+    }
+    assert!(bus.stop(id(1), StopKind::Hold).unwrap().is_empty());
+    let log = fleet.world.log();
     drop(bus);
-    fleet.world.run_for(Duration::from_millis(100));
-    let angle = || fleet.drives[0].with(|drive| drive.state()).angle_deg;
-    let stopped_at = angle();
-    fleet.world.run_for(Duration::from_millis(100));
-    assert!((angle() - stopped_at).abs() < 0.01, "it turns");
+    let stopped = Channel::Reply(id(2));
+    assert!(packets(&log).iter().any(|it| it.channel == stopped && it.data[0] == 0x81));
 }
 
 /// The thread of the bus takes up the stop, its end and a set-point at the same time.

@@ -12,7 +12,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
 
 use super::SharedBusError;
-use super::calls::{Answer, Insistence, Order, Question, Untyped};
+use super::calls::{Answer, Asker, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
 use super::state::{Clerk, Put};
 use super::watch::Watched;
@@ -53,8 +53,10 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     let stopping = if outcome.is_ok() { stopping } else { Vec::new() };
     let now = runner.now();
     // Whoever has waited for this stop knows what it has reached, and need not wait again.
-    let is_told = all_stopped.is_some_and(|(it, at)| it == kind && now - at < LONGEST_STOP);
-    if outcome.is_ok() && is_told && stopping.is_empty() {
+    let is_known = all_stopped.is_some_and(|(it, over_at)| {
+        it.kind == kind && it.asker.has_answer() && now - over_at < LONGEST_STOP
+    });
+    if outcome.is_ok() && is_known && stopping.is_empty() {
         return desk.end();
     }
     let all = runner.master().motors();
@@ -99,23 +101,27 @@ struct Worker<R: Runner<N>, const N: usize> {
     looked_at: Instant,
     /// The last round of the bus has failed.
     has_failed: bool,
-    /// How all motors were stopped, and when a caller was told which have not confirmed it. Nothing was asked or
-    /// ordered since.
-    all_stopped: Option<(StopKind, Instant)>,
+    /// The last stop of all motors, and when it was over. Nothing was asked or ordered since it was called for.
+    all_stopped: Option<(StopOfAll, Instant)>,
 }
 
 /// A question that was put.
 struct Asked<E> {
     /// Gone when the caller no longer waits for the answer.
-    asker: Weak<()>,
+    asker: Weak<Asker>,
     ticket: Ticket<Untyped>,
     answer: Answer<Data, E>,
 }
 
+struct StopOfAll {
+    kind: StopKind,
+    asker: Arc<Asker>,
+}
+
 /// A stop that a caller waits for.
 struct Stopping<E> {
-    /// How it stops all motors, if it does, and nothing was asked or ordered since.
-    of_all: Option<StopKind>,
+    /// If it stops all motors, and nothing was asked or ordered since.
+    of_all: Option<StopOfAll>,
     /// Those that have not confirmed it so far.
     unconfirmed: MotorSet,
     /// Those of them that still may.
@@ -222,9 +228,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
                 for motor in stop.running.iter() {
                     desk.publish(&Event::StopUnconfirmed { motor });
                 }
-                let is_told = stop.answer.send(Ok(stop.unconfirmed)).is_ok();
-                if let Some(kind) = stop.of_all.filter(|_| is_told) {
-                    self.all_stopped = Some((kind, now));
+                let _ = stop.answer.send(Ok(stop.unconfirmed));
+                if let Some(of_all) = stop.of_all.take() {
+                    self.all_stopped = Some((of_all, now));
                 }
             }
             !is_over
@@ -302,7 +308,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
 
     fn await_stop(
         &mut self,
-        of_all: Option<StopKind>,
+        of_all: Option<StopOfAll>,
         running: MotorSet,
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
@@ -318,11 +324,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         self.note_work();
         let master = self.runner.master();
         match order {
-            Order::StopAll { kind, also, answer } => {
+            Order::StopAll { kind, also, asker, answer } => {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
-                self.await_stop(Some(kind), running, also, answer);
+                self.await_stop(Some(StopOfAll { kind, asker }), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
                 Ok(()) => self.await_stop(None, motor.into(), MotorSet::EMPTY, answer),
