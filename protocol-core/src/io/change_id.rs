@@ -207,6 +207,14 @@ pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
+    // An answer to an earlier question may have come late, or have been lost. Not twice.
+    Ok(seems_shared(runner, id).await? && seems_shared(runner, id).await?)
+}
+
+async fn seems_shared<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
     let others = KeptAlive::new(runner, MotorSet::ALL.without(id.into()));
     let asking = others.during(async |bus| {
         for _ in 0..ROUNDS {
