@@ -8,6 +8,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::calls::{Calls, SPOKEN_TO_EVERY};
+use crate::io::elapsed::Elapsed;
 use crate::io::on_drop::OnDrop;
 use crate::io::outcome::BringUpError;
 use crate::io::standing::{check_not_stopped, check_stands, runs, turns};
@@ -66,6 +67,8 @@ async fn fails_to_hold<B: Calls<N>, const N: usize>(
 ) -> Result<Option<BringUpError<B::Error>>, BringUpError<B::Error>> {
     let end = bus.now() + BRAKE_MOVES;
     loop {
+        // What the motor says is no older than that, however long the caller is held up.
+        let asked_at = bus.now();
         let Status1 { errors, brake: says, .. } = insist(bus, motor, ReadStatus1).await?;
         let switched_off = match check_not_stopped(bus, motor) {
             // A stop may hold it as well.
@@ -78,7 +81,8 @@ async fn fails_to_hold<B: Calls<N>, const N: usize>(
         if let Some(stopped) = switched_off {
             return Ok(Some(stopped.into()));
         }
-        if waits_on(bus, end).await {
+        if asked_at < end {
+            wait_on(bus, end).await;
             continue;
         }
         if says != BrakeCommand::RELEASE {
@@ -100,18 +104,20 @@ async fn turned_by_load<B: Calls<N>, const N: usize>(
     let end = bus.now() + if holds { COMES_TO_REST } else { LOAD_SHOWS };
     let mut turned = false;
     loop {
+        // A load may have begun to turn the shaft, or have come to rest, since the motor said how fast it turns.
+        let asked_at = bus.now();
         let Feedback { speed, current, .. } = insist(bus, motor, ReadStatus2).await?;
         let turns = turns(speed);
-        let now = bus.now();
-        let may_rest = holds && now < end;
+        let may_rest = holds && asked_at < end;
         if turned && turns && !(may_rest && runs(bus, motor).await.unwrap_or(current.raw() != 0)) {
             return Ok(Some(speed));
         }
-        if !turns && now >= end || holds && speed.raw() == 0 {
+        if !turns && asked_at >= end || holds && speed.raw() == 0 {
             return Ok(None);
         }
         turned = turns;
-        let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
+        let answered_at = bus.now();
+        let _ = bus.wait_until(answered_at + SPOKEN_TO_EVERY).await;
     }
 }
 
@@ -157,14 +163,11 @@ async fn open_and_hold<B: Calls<N>, const N: usize>(
     told
 }
 
-/// Waits until the motor is to be spoken to again: in silence its communication-loss protection would lock the brake
-/// and switch it off. False at `end`.
-async fn waits_on<B: Calls<N>, const N: usize>(bus: &mut B, end: Instant) -> bool {
+/// Waits until `end`, or until the motor is to be spoken to again: in silence its communication-loss protection would
+/// lock the brake and switch it off.
+async fn wait_on<B: Calls<N>, const N: usize>(bus: &mut B, end: Instant) {
     let now = bus.now();
-    if now < end {
-        let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
-    }
-    now < end
+    let _ = bus.wait_until(end.min(now + SPOKEN_TO_EVERY)).await;
 }
 
 /// As [`bring_up::lock_brake`](crate::io::bring_up::lock_brake). If this future is dropped, the brake may have been
@@ -251,10 +254,12 @@ async fn lock_and_look<B: Calls<N>, const N: usize>(
         // It may have heard the command all the same.
         let end = bus.now() + BRAKE_MOVES;
         let says = loop {
+            let asked_at = bus.now();
             let says = insist(bus, motor, ReadStatus1).await?.brake;
-            if !waits_on(bus, end).await {
+            if asked_at >= end {
                 break says;
             }
+            wait_on(bus, end).await;
         };
         stands_by_itself(bus, motor, held).await?;
         locks += 1;
@@ -310,14 +315,15 @@ async fn insist<B: Calls<N>, C: Command + Copy, const N: usize>(
     motor: MotorId,
     command: C,
 ) -> Result<C::Reply, CallError<B::Error>> {
-    let end = bus.now() + INSISTS_FOR;
+    let mut insisted = Elapsed::default();
     loop {
-        let outcome = bus.ask(motor, command).await;
-        let now = bus.now();
-        match outcome {
-            Err(CallError::Bus(_) | CallError::Failed { .. }) if now < end => {}
+        let asked_at = bus.now();
+        let is_last = insisted.at(asked_at) >= INSISTS_FOR;
+        match bus.ask(motor, command).await {
+            Err(CallError::Bus(_) | CallError::Failed { .. }) if !is_last => {}
             outcome => return outcome,
         }
-        let _ = bus.wait_until(now + SPOKEN_TO_EVERY).await;
+        let answered_at = bus.now();
+        let _ = bus.wait_until(answered_at + SPOKEN_TO_EVERY).await;
     }
 }

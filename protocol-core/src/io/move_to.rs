@@ -218,7 +218,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let is_sure = bus.now() - last.at <= LONGEST_LOOK;
         if look.has_jumped_from(&last, bus.now())
             && (is_sure
-                || has_started_since(bus, motor, begun, ran).await.map_err(unseen_since(angle))?)
+                || may_have_started(bus, motor, begun, ran).await.map_err(unseen_since(angle))?)
         {
             bus.note_restart(motor);
         }
@@ -252,7 +252,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
             bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?;
         }
         if runs == Some(false) {
-            let has_started = has_started_since(bus, motor, begun, ran).await;
+            let has_started = may_have_started(bus, motor, begun, ran).await;
             if has_started.map_err(unseen_since(angle))? {
                 bus.note_restart(motor);
             }
@@ -270,6 +270,16 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         }
         looks += 1;
     }
+}
+
+/// Whether the drive has started since `then`, when it had run for `ran`, or may have: the target may be elsewhere now.
+async fn may_have_started<B: Calls<N>, const N: usize>(
+    bus: &mut B,
+    motor: MotorId,
+    then: Instant,
+    ran: Duration,
+) -> Result<bool, CallError<B::Error>> {
+    Ok(has_started_since(bus, motor, then, ran).await?.unwrap_or(true))
 }
 
 /// Why a look at a motor that was last seen at `at` has failed.

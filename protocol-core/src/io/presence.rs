@@ -161,17 +161,19 @@ pub async fn wait_until_there<B: Calls<N>, const N: usize>(
 ) -> Result<(), BringUpError<B::Error>> {
     let deadline = bus.now() + time;
     loop {
+        let asked_at = bus.now();
         let answer = bus.is_there(motor).await;
-        let now = bus.now();
+        let answered_at = bus.now();
         match answer {
             Ok(true) => return Ok(()),
-            Ok(false) if now >= deadline => return Err(BringUpError::NotThere(motor)),
+            Ok(false) if asked_at >= deadline => return Err(BringUpError::NotThere(motor)),
             Ok(false) => {}
             // Another question to it waits until it has had the time to restart.
-            Err(CallError::Refused { refusal: RequestError::Busy, .. }) if now < deadline => {}
+            Err(CallError::Refused { refusal: RequestError::Busy, .. })
+                if answered_at < deadline => {}
             Err(error) => return Err(error.into()),
         }
         // On a bus that takes nothing the outcome comes at once.
-        bus.wait_until(now + SPOKEN_TO_EVERY).await?;
+        bus.wait_until(answered_at + SPOKEN_TO_EVERY).await?;
     }
 }

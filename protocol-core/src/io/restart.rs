@@ -78,7 +78,9 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
             }
             result => result.map(|()| then)?,
         };
-        let has_restarted = there != motor || has_started_since(bus, motor, told_at, ran).await?;
+        // If it is not known how long it had run before, any run time since then is that of a restart.
+        let has_restarted = there != motor
+            || has_started_since(bus, motor, told_at, ran).await?.unwrap_or(ran == Duration::ZERO);
         if has_restarted {
             // This restart was intended.
             bus.resume(there);
@@ -88,15 +90,15 @@ pub(super) async fn restart_what_is_off<B: Calls<N>, const N: usize>(
     Err(fails)
 }
 
-/// Whether the drive has started since `then`, when it had run for `ran`. The master concludes what it can from the
-/// same answer, but a handle learns of that later than of the answer, and the master does not ask whether a drive has
-/// obeyed 0x76.
+/// Whether the drive has started since `then`, when it had run for `ran`; `None` if its answers come too late to tell.
+/// The master concludes what it can from the same answer, but a handle learns of that later than of the answer, and the
+/// master does not ask whether a drive has obeyed 0x76.
 pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     then: Instant,
     ran: Duration,
-) -> Result<bool, CallError<B::Error>> {
+) -> Result<Option<bool>, CallError<B::Error>> {
     // Without a restart its run time would be longer by `ran`. Half of that allows for a clock that differs from ours.
     let has_started = |runs: Duration, by: Instant| runs.times(2) <= (by - then).times(2) + ran;
     for _ in 0..RUN_TIMES {
@@ -105,8 +107,8 @@ pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
         // The caller may have been held up before it had the answer.
         let answered_by = bus.now();
         if has_started(runs, asked_at) == has_started(runs, answered_by) {
-            return Ok(has_started(runs, asked_at));
+            return Ok(Some(has_started(runs, asked_at)));
         }
     }
-    Ok(true)
+    Ok(None)
 }

@@ -47,8 +47,9 @@ pub async fn wait_until_stands<B: Calls<N>, const N: usize>(
     let deadline = bus.now() + time;
     let mut stood: u8 = 0;
     loop {
+        // The motor may have come to rest since it said how fast it turns, if the caller was held up.
+        let asked_at = bus.now();
         let looked = bus.ask(motor, ReadStatus2).await;
-        let now = bus.now();
         match looked.map(|reply| reply.speed) {
             Ok(speed) if !turns(speed) => {
                 stood += 1;
@@ -56,13 +57,16 @@ pub async fn wait_until_stands<B: Calls<N>, const N: usize>(
                     return Ok(());
                 }
             }
-            Ok(speed) if now >= deadline => return Err(BringUpError::Turns { motor, speed }),
+            Ok(speed) if asked_at >= deadline => return Err(BringUpError::Turns { motor, speed }),
             Ok(_) => stood = 0,
             // Somebody has stopped the motor once more, which drops questions.
-            Err(CallError::Failed { failure: Failure::Stopped, .. }) if now < deadline => stood = 0,
+            Err(CallError::Failed { failure: Failure::Stopped, .. }) if asked_at < deadline => {
+                stood = 0;
+            }
             Err(error) => return Err(error.into()),
         }
-        bus.wait_until(now + LOOK_EVERY).await?;
+        let answered_at = bus.now();
+        bus.wait_until(answered_at + LOOK_EVERY).await?;
     }
 }
 

@@ -9,6 +9,7 @@ mod floods;
 mod guard;
 mod half_duplex;
 mod halted;
+mod held_up;
 mod left_halfway;
 mod loads;
 mod moves;

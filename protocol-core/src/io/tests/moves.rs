@@ -15,7 +15,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::async_bring_up::{Calls, is_there, move_to, wait_until_stands};
 use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits, MoveProgress, WhenStalled};
-use crate::io::{AsyncCanMaster, CallError, CanMaster, Clock, Runner};
+use crate::io::{AsyncCanMaster, CallError, CanMaster, Runner};
 use crate::master::{Failure, StopKind};
 use crate::time::{Duration, Instant};
 use crate::units::{Angle, CoarseSpeed, MaxSpeed};
@@ -369,87 +369,6 @@ fn brake_still_reported_locked_after_a_release_is_an_error() {
     let outcome = bring_up::release_brake(&mut arm, motor);
     assert_eq!(outcome, Err(BringUpError::BrakeNotReleased { motor, says }));
     assert!(outcome.unwrap_err().to_string().contains("motor 1"));
-}
-
-/// A program is suspended while the answer to this byte comes the second time, counted from `after`.
-fn held_up(
-    byte: u8,
-    after: u8,
-    mut says: impl FnMut(&mut Data, Instant) + 'static,
-) -> (TestCan, CanMaster<Says, TestClock, 4>) {
-    let (bus, _, arm) = on_can(|bus, clock, config| {
-        let (its_clock, mut left) = (clock.clone(), after);
-        let change = move |data: &mut Data| {
-            says(data, its_clock.now());
-            if data[0] == byte {
-                if left == 0 {
-                    its_clock.advance(10_000_000);
-                }
-                left = left.wrapping_sub(1);
-            }
-        };
-        CanMaster::new(Says::new(bus, change), clock, config)
-    });
-    (bus, arm)
-}
-
-/// How a move ends, and after how many looks, if its caller is held up during this look (the first is 0).
-fn moved_though_held_up(
-    look: u8,
-    limits: &MoveLimits,
-    mut dps: impl FnMut() -> u8 + 'static,
-) -> (MoveFailure<Broken>, u8) {
-    // It stays at 360 degrees, and runs something.
-    let says = move |data: &mut Data, _| match data[0] {
-        0x70 => data[7] = 3,
-        0x9C => data[4] = dps(),
-        _ => {}
-    };
-    let (_, mut arm) = held_up(0x9C, look, says);
-    let mut looks = 0;
-    let outcome = bring_up::move_to(&mut arm, id(1), step(), limits, |_| {
-        looks += 1;
-        ControlFlow::Continue(())
-    });
-    (outcome.unwrap_err().why, looks)
-}
-
-/// What was read last is from before that. The next look shows it: ten seconds lie between them.
-#[test]
-fn move_has_not_failed_because_its_caller_was_held_up() {
-    let minute = Duration::from_secs(60);
-    let stalls = MoveLimits { time: Some(minute), ..MoveLimits::default() };
-    let (why, looks) = moved_though_held_up(2, &stalls, || 0);
-    assert!(matches!(why, MoveFailure::Stalled { .. }), "{why}");
-    assert_eq!(looks, 4);
-    let times_out = MoveLimits { stalled_after: minute, ..MoveLimits::default() };
-    let (why, looks) = moved_though_held_up(2, &times_out, || 0);
-    assert!(matches!(why, MoveFailure::TimedOut { .. }), "{why}");
-    assert_eq!(looks, 4);
-    // A look every 20 ms: it turned until 20 ms before the one that comes after a second, and not ten seconds before.
-    let mut turns = 52;
-    let dps = move || {
-        turns -= i32::from(turns > 0);
-        if turns > 0 { 100 } else { 0 }
-    };
-    let (why, looks) = moved_though_held_up(51, &stalls, dps);
-    assert!(matches!(why, MoveFailure::Turning { .. }), "{why}");
-    assert_eq!(looks, 52);
-}
-
-/// Its run time is older than the caller finds: it does not show that the drive has obeyed.
-#[test]
-fn drive_has_not_restarted_because_the_caller_was_held_up() {
-    // The drive goes on running, since 300 ms before.
-    let says = |data: &mut Data, now: Instant| {
-        if data[0] == 0xB1 {
-            let runs_ms = u32::try_from(now.as_micros() / 1_000 + 300).unwrap();
-            data[4..].copy_from_slice(&runs_ms.to_le_bytes());
-        }
-    };
-    // The first is read before the restart.
-    let (_, mut arm) = held_up(0xB1, 1, says);
-    assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Err(BringUpError::NotRestarted(id(1))));
 }
 
 /// A handle to a loop that another thread runs: no restart is reported with the answer that shows it.
