@@ -19,6 +19,8 @@ const LONGEST_BRAKING: Duration = Duration::from_secs(3);
 const STANDS_AFTER: Duration = Duration::from_millis(100);
 /// The same for a motor that was seen to turn.
 const STANDS_AFTER_TURNING: Duration = Duration::from_millis(500);
+/// At so many looks at least: a program that is suspended does not look.
+const STANDING_LOOKS: u32 = 6;
 /// How long to listen whether something else moves a stopped motor. A program that commands a motor sends more often.
 const LISTENING: Duration = Duration::from_millis(250);
 /// How long to retry on a bus that carries nothing.
@@ -68,28 +70,30 @@ struct Slowing {
     slowest: Option<u16>,
     /// When it must be slower at the latest.
     latest: Instant,
-    stands_since: Option<Instant>,
+    /// Since when it stands, and at how many looks.
+    stands: Option<(Instant, u32)>,
 }
 
 impl Slowing {
-    /// Notes that it does not turn now. Returns whether it stands.
-    fn note_standing(&mut self, now: Instant) -> bool {
-        let since = *self.stands_since.get_or_insert(now);
+    /// Notes that it did not turn when it was asked. Returns whether it stands.
+    fn note_standing(&mut self, asked_at: Instant) -> bool {
+        let (since, looks) = self.stands.get_or_insert((asked_at, 0));
+        *looks += 1;
         let after = match self.slowest {
             Some(_) => STANDS_AFTER_TURNING,
             None => STANDS_AFTER,
         };
-        now - since >= after
+        asked_at - *since >= after && *looks >= STANDING_LOOKS
     }
 
-    /// Notes its speed. Returns whether it slows down, or still has time to.
-    fn note_turning(&mut self, speed: CoarseSpeed, now: Instant) -> bool {
-        self.stands_since = None;
+    /// Notes its speed when it was asked. Returns whether it slows down, or still has time to.
+    fn note_turning(&mut self, speed: CoarseSpeed, asked_at: Instant) -> bool {
+        self.stands = None;
         let turns = speed.raw().unsigned_abs();
         if self.slowest.is_none_or(|slowest| turns < slowest) {
-            (self.slowest, self.latest) = (Some(turns), now + LONGEST_BRAKING);
+            (self.slowest, self.latest) = (Some(turns), asked_at + LONGEST_BRAKING);
         }
-        now < self.latest
+        asked_at < self.latest
     }
 }
 
@@ -316,14 +320,15 @@ impl Session {
         let mut restless = Vec::new();
         let mut turning = motors;
         let latest = self.master.now() + LONGEST_BRAKING;
-        let mut slowing = [Slowing { slowest: None, latest, stands_since: None }; MotorId::COUNT];
+        let mut slowing = [Slowing { slowest: None, latest, stands: None }; MotorId::COUNT];
         while !turning.is_empty() {
+            // What they say is no older, also if this program is suspended meanwhile.
+            let asked_at = self.master.now();
             for (motor, reply) in self.ask_each(turning, ReadStatus2, None).outcomes {
                 let slowing = &mut slowing[motor.index()];
-                let now = self.master.now();
                 let told = match reply.map(|reply| reply.speed) {
                     Ok(speed) if !bring_up::turns(speed) => {
-                        if !slowing.note_standing(now) && !self.is_not_to_wait() {
+                        if !slowing.note_standing(asked_at) && !self.is_not_to_wait() {
                             continue;
                         }
                         None
@@ -331,7 +336,7 @@ impl Session {
                     Ok(speed) if self.is_not_to_wait() => Some(format!(
                         "has confirmed the stop (0x81) and still turns at {speed}: this program did not wait until it stands"
                     )),
-                    Ok(speed) if slowing.note_turning(speed, now) => continue,
+                    Ok(speed) if slowing.note_turning(speed, asked_at) => continue,
                     Ok(speed) => Some(format!(
                         "has confirmed the stop (0x81), but turns at {speed} and does not slow down: cut its power"
                     )),
@@ -766,6 +771,30 @@ mod tests {
         assert_eq!(message.len(), 6, "{message:?}");
         let took = session.master.now() - begun;
         assert!(took < Duration::from_millis(3_200), "{took:?}");
+    }
+
+    /// An arm that swings stands for a moment at each end, and a program that is suspended sees nothing in between.
+    #[test]
+    fn motor_stands_that_has_not_turned_for_a_time_and_at_six_looks() {
+        let at = Instant::from_millis;
+        let not_seen = Slowing { slowest: None, latest: at(3_000), stands: None };
+        let looks_until_it_stands = |mut slowing: Slowing, first_looks_ms: &[u64], next_ms: u64| {
+            let looks = first_looks_ms.iter().copied().chain((next_ms..).step_by(10));
+            looks.take_while(|&ms| !slowing.note_standing(at(ms))).count() + 1
+        };
+        // A look every 10 ms: 100 ms after the first one.
+        assert_eq!(looks_until_it_stands(not_seen, &[], 10), 11);
+        // Suspended for two seconds after the first.
+        assert_eq!(looks_until_it_stands(not_seen, &[10], 2_000), 6);
+        let mut seen = not_seen;
+        assert!(seen.note_turning(CoarseSpeed::from_raw(30), at(0)));
+        assert_eq!(looks_until_it_stands(seen, &[], 10), 51);
+        // It turns again.
+        assert!(!seen.note_standing(at(10)));
+        assert!(seen.note_turning(CoarseSpeed::from_raw(30), at(2_999)));
+        assert!(!seen.note_turning(CoarseSpeed::from_raw(30), at(3_000)), "no slower for 3 s");
+        assert!(seen.note_turning(CoarseSpeed::from_raw(20), at(3_001)));
+        assert!(!seen.note_standing(at(3_600)));
     }
 
     #[test]

@@ -115,8 +115,8 @@ fn drive_has_not_restarted_because_the_caller_was_held_up() {
 fn drive_has_restarted_though_the_question_was_held_up() {
     let mut told_at = None;
     let mut is_held_up = nth(1);
-    let (bus, mut arm) = arm(move |data, clock| match data[0] {
-        0xB1 => {
+    let (bus, mut arm) = arm(move |data, clock| {
+        if data[0] == 0xB1 {
             if is_held_up() {
                 clock.advance(10_000_000);
             }
@@ -124,7 +124,6 @@ fn drive_has_restarted_though_the_question_was_held_up() {
             data[4..].copy_from_slice(&u32::try_from(runs_ms).unwrap().to_le_bytes());
             told_at.get_or_insert(clock.micros());
         }
-        _ => {}
     });
     assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
     assert_eq!(sent(&bus, [0x76]), [0x76], "once");
