@@ -23,7 +23,8 @@ pub struct Latest {
     /// The feedback: a reply to a set-point, to a broadcast, or a report. Its numbers, except those of motion mode:
     /// `Feedback::try_from(reply)`.
     pub reply: AnyReply,
-    /// When it was heard. If the machine was suspended since then, it is older than this says.
+    /// When the thread of the bus heard it. It is older than this says if that thread was held up before, or if the
+    /// machine was suspended since then.
     pub heard_at: Instant,
 }
 
