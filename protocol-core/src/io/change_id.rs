@@ -33,6 +33,8 @@ const ROUNDS: usize = 3;
 /// How often an id is asked whose answers are not understood, and after how many silences nobody has it.
 const QUESTIONS: usize = 10;
 const SILENCES: usize = 2;
+/// How long to listen for noise behind each of these questions. Others hear nothing meanwhile.
+const LISTENING: Duration = Duration::from_millis(10);
 
 /// As [`bring_up::change_id`](crate::io::bring_up::change_id). If this future is dropped:
 ///
@@ -54,13 +56,15 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     };
     match who(runner, from, to).await? {
         Who::Nobody => return Err(BringUpError::NotThere(from)),
-        Who::Unclear => return Err(unclear(runner, from).await?),
+        Who::Several => return Err(BringUpError::IdShared(from)),
+        Who::Noise => return Err(BringUpError::Noise(from)),
         Who::Somebody if from == to => return Ok(()),
         Who::Somebody => {}
     }
     match who(runner, to, from).await? {
         Who::Nobody => {}
-        Who::Unclear => return Err(unclear(runner, to).await?),
+        Who::Several => return Err(BringUpError::IdShared(to)),
+        Who::Noise => return Err(BringUpError::Noise(to)),
         Who::Somebody => return Err(BringUpError::IdTaken(to)),
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
@@ -82,18 +86,20 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
 enum Who {
     Nobody,
     Somebody,
-    /// What comes is not understood: motors that answer at the same time on a line, or much noise.
-    Unclear,
+    /// Motors that answer at the same time on a line, so that they are not understood.
+    Several,
+    /// So much of it that nothing shows who answers.
+    Noise,
 }
 
-/// Who has an id that the search did not find, while something came that is no frame. Noise comes now and then, or with
-/// the other id's answers as well.
+/// Who has an id that the search did not find, while something came that is no frame. Noise comes now and then, also
+/// while nobody is asked, or with the other id's answers as well.
 async fn who_answers<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
     other: MotorId,
 ) -> Result<Who, CallError<R::Error>> {
-    let mut silences = 0;
+    let (mut silences, mut is_noisy) = (0, false);
     for _ in 0..QUESTIONS {
         match hear(runner, id).await? {
             (true, _) => return Ok(Who::Somebody),
@@ -104,26 +110,21 @@ async fn who_answers<R: AsyncRunner<N>, const N: usize>(
         if silences == SILENCES {
             return Ok(Who::Nobody);
         }
+        let garbled = runner.master().garbled();
+        let end = runner.now() + LISTENING;
+        runner.run_until(end, |_| {}).await?;
+        is_noisy |= runner.master().garbled() != garbled;
+    }
+    if is_noisy {
+        return Ok(Who::Noise);
     }
     for _ in 0..ROUNDS {
         let (_, is_garbled) = hear(runner, other).await?;
         if !is_garbled {
-            return Ok(Who::Unclear);
+            return Ok(Who::Several);
         }
     }
     Ok(Who::Nobody)
-}
-
-/// Why it is unclear who has this id.
-async fn unclear<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
-    id: MotorId,
-) -> Result<BringUpError<R::Error>, CallError<R::Error>> {
-    let garbled = runner.master().garbled();
-    let end = runner.now() + ANSWERED_IN;
-    runner.run_until(end, |_| {}).await?;
-    let is_noisy = runner.master().garbled() != garbled;
-    Ok(if is_noisy { BringUpError::Noise(id) } else { BringUpError::IdShared(id) })
 }
 
 /// Asks this id. Returns whether it answers, and whether anything came that is no frame.

@@ -9,8 +9,9 @@ use super::world::{Broken, TestCan, TestClock, on_can};
 use super::{id, step};
 use crate::Data;
 use crate::command::{BrakeCommand, ReadStatus2};
+use crate::error::RequestError;
 use crate::io::bring_up::{self, BringUpError, MoveFailure, MoveLimits};
-use crate::io::{CanMaster, Runner};
+use crate::io::{CallError, CanMaster, Runner};
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
 
@@ -292,4 +293,71 @@ fn late_answer_to_an_earlier_question_is_no_second_motor() {
     let once = arm.master().patience(1);
     assert!(arm.ask_with(id(1), ReadStatus2, Some(once), |_| {}).is_err());
     assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false), "{:02X?}", sent(&bus, [0x9C]));
+}
+
+/// The drive has restarted, but each answer to the question for its run time took ten seconds, and it is not known how
+/// long it had run before: nothing speaks against a restart.
+#[test]
+fn drive_that_runs_for_no_longer_than_since_it_was_told_has_restarted() {
+    let (mut reads, mut told) = (0, 0);
+    let (bus, mut arm) = arm(move |data, clock| {
+        if data[0] == 0xB1 {
+            reads += 1;
+            if reads <= 3 {
+                // Nobody asks this. The drive is told to restart when the last time-out is over.
+                data[0] = 0xE0;
+                told = clock.micros() + 30_000;
+                return;
+            }
+            clock.advance(10_000_000);
+            let runs_ms = u32::try_from((clock.micros() - told) / 1_000).unwrap();
+            data[4..].copy_from_slice(&runs_ms.to_le_bytes());
+        }
+    });
+    assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
+    assert_eq!(sent(&bus, [0x76]), [0x76], "once");
+}
+
+/// It runs nothing any more, and may have restarted: each answer to the question for its run time took ten seconds.
+#[test]
+fn move_of_a_drive_that_may_have_restarted_is_not_gone_on_with() {
+    let mut reads = 0;
+    let (_, mut arm) = arm(move |data, clock| match data[0] {
+        0x70 => data[7] = 0,
+        0xB1 => {
+            reads += 1;
+            let runs_ms = if reads == 1 {
+                300
+            } else {
+                clock.advance(10_000_000);
+                clock.micros() / 1_000 - 9_000
+            };
+            data[4..].copy_from_slice(&u32::try_from(runs_ms).unwrap().to_le_bytes());
+        }
+        _ => {}
+    });
+    let limits = MoveLimits { stalled_after: Duration::from_millis(100), ..MoveLimits::default() };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let why = bring_up::move_to(&mut arm, id(1), step(), &limits, go_on).unwrap_err().why;
+    let restarted = CallError::refused(id(1))(RequestError::Restarted);
+    assert_eq!(why, restarted.into());
+}
+
+/// Motor 9 is not there. Each question takes three time-outs of 20 ms.
+#[test]
+fn waits_for_a_motor_that_is_not_there_end_soon_after_their_time() {
+    let took_ms = |wait: &dyn Fn(&mut CanMaster<Says, TestClock, 4>)| {
+        let (_, mut arm) = arm(|_, _| {});
+        wait(&mut arm);
+        arm.now().as_micros() / 1_000
+    };
+    let there = took_ms(&|arm| {
+        bring_up::wait_until_there(arm, id(9), Duration::from_millis(200)).unwrap_err();
+    });
+    assert!((200..300).contains(&there), "{there}");
+    // A load may depend on what its brake says: that is insisted on for 300 ms.
+    let brake = took_ms(&|arm| {
+        bring_up::release_brake(arm, id(9)).unwrap_err();
+    });
+    assert!((300..500).contains(&brake), "{brake}");
 }
