@@ -16,7 +16,6 @@ use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
-use super::watch::Watched;
 use crate::open::{Wake, since_boot};
 
 /// So many looks share the longest round: a program that was frozen finds that the time of one look is up, and still
@@ -349,7 +348,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
-        clerk.keep_alive(state.at_work > 0 || state.watches.iter().any(Watched::hangs));
+        clerk.keep_alive(state.at_work > 0 || state.is_any_left_alone());
         matches!(state.life, Life::Running)
     }
 

@@ -307,6 +307,11 @@ impl<E> State<E> {
         }
     }
 
+    /// Whether a loop that is watched may leave its motors alone.
+    pub(super) fn is_any_left_alone(&self) -> bool {
+        self.watches.iter().any(|watched| watched.leaves_them_alone(self.stops_all))
+    }
+
     /// Hands the clerk the orders.
     pub(super) fn hand_over_orders(&mut self, clerk: &mut impl Clerk<E>) {
         for order in self.orders.drain(..) {

@@ -18,9 +18,11 @@ use crate::open::BusError;
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
 /// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch of the bus is to
 /// hold its motors, else switched off. The stop latches. The same happens if the driver of the bus holds its thread for
-/// as long: no set-point was sent meanwhile. Until the loop looks again, or the watch is dropped, the bus asks the
-/// motors, so that their protection (0xB3) does not let them go. In all other cases the watch stops nothing: leave the
-/// loop through a [`Guard`](super::Guard).
+/// as long: no set-point was sent meanwhile. In all other cases the watch stops nothing: leave the loop through a
+/// [`Guard`](super::Guard).
+///
+/// Motors that were stopped because of that, or after trouble, are asked by the bus until the stop is lifted or the
+/// watch is dropped, so that their protection (0xB3) does not let their loads fall.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -201,8 +203,13 @@ impl Watched {
         }
     }
 
-    /// Whether the loop hangs: nobody else speaks to the motors that were stopped because of that.
-    pub(super) const fn hangs(&self) -> bool {
-        matches!(self.found, Found::Late(_))
+    /// Whether nobody else may speak to the motors: the loop hangs and they were stopped because of that, or it was told
+    /// of trouble and all are stopped.
+    pub(super) const fn leaves_them_alone(&self, are_all_stopped: bool) -> bool {
+        match self.found {
+            Found::Late(_) => true,
+            Found::Over(_) => are_all_stopped,
+            Found::Nothing | Found::Untold(_) | Found::Told(_) => false,
+        }
     }
 }

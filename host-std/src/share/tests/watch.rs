@@ -43,10 +43,10 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     assert!(!watched.look(master, ms(1_040)));
     assert!(watched.look(master, ms(1_041)));
     assert!(!watched.look(master, ms(1_042)), "it is stopped once");
-    assert_eq!((watched.late_after(), watched.hangs()), (None, true));
+    assert_eq!((watched.late_after(), watched.leaves_them_alone(false)), (None, true));
     // It looks again, and hangs again.
     assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
-    assert!(!watched.hangs());
+    assert!(!watched.leaves_them_alone(true));
     assert!(!watched.look(master, ms(2_000)));
     assert_eq!(watched.late_after(), Some(ms(2_030)));
     assert!(watched.look(master, ms(2_031)));
@@ -235,7 +235,7 @@ fn a_watch_ends_when_all_are_stopped_after_its_trouble() {
 
 /// A loop that hangs speaks to nobody, and its motors hold all the same.
 #[test]
-fn motors_of_a_loop_that_hangs_are_asked_until_it_looks() {
+fn motors_of_a_loop_that_hangs_are_asked_until_its_watch_is_dropped() {
     let (fleet, bus) = shared(1);
     bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
     let state = || fleet.drives[0].with(|drive| drive.state());
@@ -245,7 +245,29 @@ fn motors_of_a_loop_that_hangs_are_asked_until_it_looks() {
             assert!(state().output_on && !state().communication_lost);
         }
     });
-    // Now it has looked, and asks them itself.
+    // It has left, and its watch with it.
+    thread::sleep(time::Duration::from_millis(700));
+    assert!(state().communication_lost);
+}
+
+/// It was told of trouble, all were stopped, and whoever waits now for a person speaks to nobody.
+#[test]
+fn motors_are_asked_while_all_are_stopped_after_trouble() {
+    let (fleet, bus) = shared(1);
+    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+    let state = || fleet.drives[0].with(|drive| drive.state());
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold);
+    watch.look().unwrap();
+    bus.ask(id(1), Stop).unwrap();
+    bus.desk().lock().watches[0].note(&Event::LostMaster { motor: id(1) });
+    while watch.look().is_ok() {
+        thread::yield_now();
+    }
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    thread::sleep(time::Duration::from_millis(700));
+    assert!(state().output_on && !state().communication_lost);
+    // From here on its program speaks to it, or it lets go.
+    bus.lift_stop().unwrap();
     thread::sleep(time::Duration::from_millis(700));
     assert!(state().communication_lost);
 }
