@@ -229,7 +229,7 @@ impl<E> Desk<E> {
             return Err(state.last_words());
         }
         state.check_taken_up()?;
-        let found = state.watched(key, watch, kind).is_looked_at();
+        let found = state.look(key, watch, kind);
         self.leave(state);
         Ok(found)
     }

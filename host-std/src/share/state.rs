@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io;
+use myactuator_protocol_core::io::{self, Trouble};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
@@ -271,33 +271,33 @@ impl<E> State<E> {
         }
     }
 
-    /// The watch with this key; one that has none begins.
-    pub(super) fn watched(
+    /// The loop of the watch with this key looks; a watch that has none begins.
+    pub(super) fn look(
         &mut self,
         key: &mut Option<u64>,
         watch: &io::Watch,
         kind: StopKind,
-    ) -> &mut Watched {
+    ) -> Result<(), Trouble> {
         let key = *key.get_or_insert_with(|| {
             self.last_watch += 1;
             self.watches.push(Watched::new(self.last_watch, watch, kind));
             self.last_watch
         });
-        let place = self.watches.iter().position(|watched| watched.key == key);
-        &mut self.watches[place.expect("it is there until its handle is dropped")]
+        let watched = self.watches.iter_mut().find(|watched| watched.key == key);
+        watched.expect("it is there until its handle is dropped").is_looked_at()
     }
 
-    /// Has the clerk look at what is watched, and stops all motors if a loop is late. A stop of all that is in force
-    /// stays as it is: a motor that it holds must not be let go.
+    /// Has the clerk look at what is watched, and stops all motors if a loop is late. While a stop of all is in force,
+    /// none is, and that stays as it is: a motor that it holds must not be let go.
     pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
         let mut is_any_late = false;
         for watched in &mut self.watches {
-            if self.stops_all {
-                watched.note_stop_of_all();
-            }
             is_any_late |= clerk.watch(watched);
+            if self.stops_all {
+                watched.excuse();
+            }
         }
-        if is_any_late && !self.stops_all {
+        if is_any_late {
             // What another loop is to hold may fall, and that loop may be late in a moment.
             let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold);
             let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
@@ -307,9 +307,9 @@ impl<E> State<E> {
         }
     }
 
-    /// Whether a loop that is watched may leave its motors alone.
+    /// Whether a loop that is watched leaves its motors alone, since all are stopped.
     pub(super) fn is_any_left_alone(&self) -> bool {
-        self.watches.iter().any(|watched| watched.leaves_them_alone(self.stops_all))
+        self.stops_all && !self.watches.is_empty()
     }
 
     /// Hands the clerk the orders.
@@ -328,6 +328,7 @@ impl<E> State<E> {
         match order {
             Order::StopAll { kind, .. } => {
                 self.stops_all = true;
+                self.watches.iter_mut().for_each(Watched::excuse);
                 self.drop_what_is_stopped(MotorSet::ALL, kind);
             }
             Order::Stop { motor, kind, .. } => {

@@ -21,8 +21,8 @@ use crate::open::BusError;
 /// as long: no set-point was sent meanwhile. In all other cases the watch stops nothing: leave the loop through a
 /// [`Guard`](super::Guard).
 ///
-/// Motors that were stopped because of that, or after trouble, are asked by the bus until the stop is lifted or the
-/// watch is dropped, so that their protection (0xB3) does not let their loads fall.
+/// After a stop of all, by whoever, the loop need not look until it goes on. While that stop is in force and the watch
+/// lives, the bus asks the motors, so that their protection (0xB3) does not let their loads fall.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -122,94 +122,52 @@ pub(super) struct Watched {
     /// How its motors are to be stopped if a loop is late.
     pub(super) kind: StopKind,
     watch: io::Watch,
-    has_begun: bool,
     /// The loop has looked, and the thread has not.
     is_due: bool,
-    found: Found,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Found {
-    Nothing,
-    /// The loop does not know yet.
-    Untold(Trouble),
-    /// The loop is late, and does not know yet.
-    Late(Trouble),
-    /// The loop was told, and is to leave.
-    Told(Trouble),
-    /// The loop was told, and all motors were stopped since.
-    Over(Trouble),
+    /// It has not looked yet, or all motors were stopped since it has: then it moves nothing.
+    is_excused: bool,
+    found: Option<Trouble>,
 }
 
 impl Watched {
     pub(super) fn new(key: u64, watch: &io::Watch, kind: StopKind) -> Self {
-        let (watch, found) = (watch.clone(), Found::Nothing);
-        Self { key, kind, watch, has_begun: false, is_due: false, found }
+        let watch = watch.clone();
+        Self { key, kind, watch, is_due: false, is_excused: true, found: None }
     }
 
     /// The loop looks. Returns what was found before.
     pub(super) fn is_looked_at(&mut self) -> Result<(), Trouble> {
         self.is_due = true;
-        match self.found {
-            Found::Nothing => Ok(()),
-            Found::Untold(trouble) | Found::Late(trouble) | Found::Told(trouble) => {
-                self.found = Found::Told(trouble);
-                Err(trouble)
-            }
-            Found::Over(trouble) => Err(trouble),
-        }
+        self.found.map_or(Ok(()), Err)
     }
 
     pub(super) fn note(&mut self, event: &Event) {
         self.watch.note(event);
     }
 
-    /// All motors are stopped: a loop that was told has left, or has nothing left to move.
-    pub(super) fn note_stop_of_all(&mut self) {
-        if let Found::Told(trouble) = self.found {
-            self.found = Found::Over(trouble);
-        }
+    /// All motors are stopped: the loop need not look until it goes on. That it has looked before does not count.
+    pub(super) fn excuse(&mut self) {
+        (self.is_excused, self.is_due) = (true, false);
     }
 
     /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be stopped.
     pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         let has_looked = std::mem::take(&mut self.is_due);
-        if !std::mem::replace(&mut self.has_begun, true) {
+        // It begins, or goes on after a stop; or it was told of trouble, and may hang before it has left.
+        if has_looked && (self.is_excused || self.found.is_some()) {
             self.watch = self.watch.anew(now);
-        }
-        // Also a loop that was told may hang before it has left.
-        if let (Found::Told(_), true) = (self.found, has_looked) {
-            self.watch = self.watch.anew(now);
+            self.is_excused = false;
         }
         let is_late = self.late_after().is_some_and(|time| now > time);
-        if let (Found::Nothing, true) = (self.found, has_looked || is_late) {
-            let trouble = self.watch.look(master, now).err();
-            self.found = trouble.map_or(Found::Nothing, Found::Untold);
+        if self.found.is_none() && (has_looked || is_late) {
+            self.found = self.watch.look(master, now).err();
         }
-        match self.found {
-            Found::Untold(trouble) | Found::Told(trouble) if is_late => {
-                self.found = Found::Late(trouble);
-                true
-            }
-            _ => false,
-        }
+        self.is_excused |= is_late;
+        is_late
     }
 
-    /// Until when the loop has to look; `None` if it was late, or need not look any more.
+    /// Until when the loop has to look, if it has to.
     pub(super) fn late_after(&self) -> Option<Instant> {
-        match self.found {
-            Found::Late(_) | Found::Over(_) => None,
-            Found::Nothing | Found::Untold(_) | Found::Told(_) => Some(self.watch.late_after()),
-        }
-    }
-
-    /// Whether nobody else may speak to the motors: the loop hangs and they were stopped because of that, or it was told
-    /// of trouble and all are stopped.
-    pub(super) const fn leaves_them_alone(&self, are_all_stopped: bool) -> bool {
-        match self.found {
-            Found::Late(_) => true,
-            Found::Over(_) => are_all_stopped,
-            Found::Nothing | Found::Untold(_) | Found::Told(_) => false,
-        }
+        (!self.is_excused).then(|| self.watch.late_after())
     }
 }

@@ -155,7 +155,7 @@ pub fn change_id<R: Runner<N>, const N: usize>(
 
 /// Whether more than one motor seems to have this id, as far as that can be heard: some questions are answered twice,
 /// or not at all because answers collide. The questions are repeated, since equal frames of two motors may become one
-/// on a CAN bus. Takes half a second.
+/// on a CAN bus. Takes half a second, or a whole one if it is shared.
 ///
 /// Also returns `true`:
 ///

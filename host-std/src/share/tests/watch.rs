@@ -4,8 +4,8 @@ use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::{self, Trouble};
 
 use super::*;
-use crate::share::LoopError;
 use crate::share::watch::Watched;
+use crate::share::{LoopError, Watch};
 
 /// Longer than a busy machine keeps a thread from its work.
 const NEVER_LATE: Duration = Duration::from_secs(60);
@@ -36,6 +36,7 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     let watch = watch.longest_silence(Duration::from_millis(30));
     let mut watched = Watched::new(1, &watch, StopKind::Off);
     let ms = Instant::from_millis;
+    assert_eq!(watched.is_looked_at(), Ok(()));
     assert!(!watched.look(master, ms(1_000)), "it begins here");
     assert_eq!(watched.is_looked_at(), Ok(()));
     assert!(!watched.look(master, ms(1_010)));
@@ -43,10 +44,9 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     assert!(!watched.look(master, ms(1_040)));
     assert!(watched.look(master, ms(1_041)));
     assert!(!watched.look(master, ms(1_042)), "it is stopped once");
-    assert_eq!((watched.late_after(), watched.leaves_them_alone(false)), (None, true));
+    assert_eq!(watched.late_after(), None);
     // It looks again, and hangs again.
     assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
-    assert!(!watched.leaves_them_alone(true));
     assert!(!watched.look(master, ms(2_000)));
     assert_eq!(watched.late_after(), Some(ms(2_030)));
     assert!(watched.look(master, ms(2_031)));
@@ -191,6 +191,7 @@ fn a_loop_that_hangs_after_trouble_is_late_too() {
     let watch = io::Watch::new(id(1).into(), Instant::ZERO);
     let mut watched = Watched::new(1, &watch, StopKind::Hold);
     let ms = Instant::from_millis;
+    assert_eq!(watched.is_looked_at(), Ok(()));
     assert!(!watched.look(master, ms(0)));
     watched.note(&Event::LostMaster { motor: id(1) });
     assert_eq!(watched.is_looked_at(), Ok(()));
@@ -211,26 +212,66 @@ fn a_loop_that_hangs_after_trouble_is_late_too() {
     assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
 }
 
+/// A watch of a motor, whose loop was just told of trouble.
+fn told(bus: &SharedBus<CanError>) -> Watch<CanError> {
+    bus.ask(id(1), Stop).unwrap();
+    let limit = Duration::from_millis(100);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
+    watch.look().unwrap();
+    bus.desk().lock().watches[0].note(&Event::LostMaster { motor: id(1) });
+    while watch.look().is_ok() {
+        thread::yield_now();
+    }
+    watch
+}
+
 /// The old watch is still there when its loop has left and something else is done.
 #[test]
 fn a_watch_ends_when_all_are_stopped_after_its_trouble() {
-    let (fleet, bus) = shared(1);
+    for is_waited_for in [false, true] {
+        let (_fleet, bus) = shared(1);
+        let watch = told(&bus);
+        let stop = bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY);
+        if is_waited_for {
+            assert!(stop.wait().unwrap().is_empty());
+        } else {
+            drop(stop);
+        }
+        bus.lift_stop().unwrap();
+        thread::sleep(time::Duration::from_millis(200));
+        bus.ask(id(1), turn(10.0)).unwrap();
+        drop(watch);
+    }
+}
+
+/// It was not told of anything: a set-point was refused, and it has left. Its watch is still there.
+#[test]
+fn a_loop_need_not_look_when_all_were_stopped() {
+    let (_fleet, bus) = shared(1);
     let limit = Duration::from_millis(100);
     let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
-    while watch.look().is_ok() {
-        // It is refused if a busy machine holds this loop up.
-        let _ = bus.set_point(id(1), turn(90.0));
-        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
-        thread::sleep(time::Duration::from_millis(1));
-    }
-    fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+    watch.look().unwrap();
+    bus.set_point(id(1), turn(90.0)).unwrap();
     assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
     bus.lift_stop().unwrap();
     thread::sleep(time::Duration::from_millis(200));
     bus.ask(id(1), turn(10.0)).unwrap();
-    assert!(watch.look().is_err(), "it is over");
-    thread::sleep(time::Duration::from_millis(200));
-    bus.ask(id(1), turn(10.0)).unwrap();
+    // It goes on, and is watched from here on.
+    let mut events = bus.subscribe(10_000);
+    watch.look().unwrap();
+    assert!(events.any(|event| event == Event::StopConfirmed { motor: id(1) }));
+}
+
+/// It was told, and goes on all the same when the stop of all is lifted.
+#[test]
+fn a_loop_that_looks_again_after_its_trouble_is_watched_again() {
+    let (_fleet, bus) = shared(1);
+    let mut watch = told(&bus);
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    bus.lift_stop().unwrap();
+    let mut events = bus.subscribe(10_000);
+    assert!(watch.look().is_err());
+    assert!(events.any(|event| event == Event::StopConfirmed { motor: id(1) }));
 }
 
 /// A loop that hangs speaks to nobody, and its motors hold all the same.
@@ -250,47 +291,48 @@ fn motors_of_a_loop_that_hangs_are_asked_until_its_watch_is_dropped() {
     assert!(state().communication_lost);
 }
 
-/// It was told of trouble, all were stopped, and whoever waits now for a person speaks to nobody.
+/// Whoever waits now for a person speaks to nobody, whether or not the loop has looked again.
 #[test]
 fn motors_are_asked_while_all_are_stopped_after_trouble() {
-    let (fleet, bus) = shared(1);
-    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
-    let state = || fleet.drives[0].with(|drive| drive.state());
-    let mut watch = bus.watch(id(1).into(), StopKind::Hold);
-    watch.look().unwrap();
-    bus.ask(id(1), Stop).unwrap();
-    bus.desk().lock().watches[0].note(&Event::LostMaster { motor: id(1) });
-    while watch.look().is_ok() {
-        thread::yield_now();
+    for looks_again in [false, true] {
+        let (fleet, bus) = shared(1);
+        bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+        let mut watch = told(&bus);
+        let state = || fleet.drives[0].with(|drive| drive.state());
+        assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+        if looks_again {
+            watch.look().unwrap_err();
+        }
+        thread::sleep(time::Duration::from_millis(700));
+        assert!(state().output_on && !state().communication_lost);
+        // From here on its program speaks to it, or it lets go.
+        bus.lift_stop().unwrap();
+        thread::sleep(time::Duration::from_millis(700));
+        assert!(state().communication_lost);
     }
-    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
-    thread::sleep(time::Duration::from_millis(700));
-    assert!(state().output_on && !state().communication_lost);
-    // From here on its program speaks to it, or it lets go.
-    bus.lift_stop().unwrap();
-    thread::sleep(time::Duration::from_millis(700));
-    assert!(state().communication_lost);
 }
 
-/// The watch outlives the guard's stop. What that holds must not be let go, nor switched on what that lets go.
+/// The watch outlives the guard's stop. What that holds must not be let go, nor switched on what that lets go. A loop
+/// that looks once more under the stop, and not again, changes nothing either.
 #[test]
-fn a_late_loop_changes_no_stop_of_all_that_is_in_force() {
-    for (in_force, of_watch) in [(StopKind::Hold, StopKind::Off), (StopKind::Off, StopKind::Hold)] {
+fn a_loop_that_does_not_look_changes_no_stop_of_all_that_is_in_force() {
+    use StopKind::{Hold, Off};
+    for (in_force, of_watch, looks_again) in
+        [(Hold, Off, false), (Off, Hold, false), (Hold, Off, true), (Off, Hold, true)]
+    {
         let (fleet, bus) = shared(1);
         let mut watch =
             bus.watch(id(1).into(), of_watch).longest_silence(Duration::from_millis(20));
         watch.look().unwrap();
         bus.set_point(id(1), turn(90.0)).unwrap();
         assert_eq!(bus.stop_all(in_force, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
-        let is_late = || bus.desk().lock().watches[0].late_after().is_none();
-        let begun = time::Instant::now();
-        while !is_late() {
-            assert!(begun.elapsed() < NOT_HELD, "it does not look, and is not late");
-            thread::sleep(time::Duration::from_millis(1));
+        if looks_again {
+            let _ = watch.look();
         }
+        thread::sleep(time::Duration::from_millis(100));
         bus.ask(id(1), ReadStatus1).unwrap();
         let is_on = fleet.drives[0].with(|drive| drive.state()).output_on;
-        assert_eq!(is_on, in_force == StopKind::Hold, "{in_force:?}");
+        assert_eq!(is_on, in_force == Hold, "{in_force:?} {looks_again}");
     }
 }
 
