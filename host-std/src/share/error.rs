@@ -41,8 +41,8 @@ pub enum SharedBusError<E = BusError> {
         "the driver of the bus does not come back, so it is not known whether the command is sent: if a motor must stop now, cut its power"
     )]
     Held,
-    /// The bus driver panicked, with this message, and the thread has ended.
-    #[error("the thread of the bus has panicked: {0}")]
+    /// The thread of the bus has ended: its driver panicked, with this message, or the last handle was dropped.
+    #[error("the thread of the bus has ended: {0}")]
     Panicked(Arc<str>),
 }
 

@@ -460,7 +460,7 @@ impl<E> State<E> {
     pub(super) fn last_words(&self) -> SharedBusError<E> {
         SharedBusError::Panicked(match &self.life {
             Life::Panicked(words) => Arc::clone(words),
-            Life::Running | Life::Closing => Arc::from("nobody is there any more"),
+            Life::Running | Life::Closing => Arc::from("its last handle was dropped"),
         })
     }
 }

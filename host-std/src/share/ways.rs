@@ -884,7 +884,7 @@ mod tests {
         let (_fleet, order, bus) = fragile();
         let ended = moved(&bus, id(1), || order.store(PANIC, Ordering::SeqCst));
         let why = ended.unwrap_err();
-        assert!(why.to_string().contains("panicked"), "{why}");
+        assert!(why.to_string().contains("has ended: "), "{why}");
         assert!(!why.is_stopped);
     }
 }
