@@ -55,8 +55,8 @@ use crate::open::BusError;
 /// ```
 ///
 /// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
-/// a [`move_to`](super::SharedBus::move_to), also after trouble: drop it. Make a new one when the set of motors changes, and when the loop
-/// goes on after a stop. It is no handle: it does not keep the bus running.
+/// a [`move_to`](super::SharedBus::move_to): drop it. Make a new one when the set of motors changes, and after trouble.
+/// It is no handle: it does not keep the bus running.
 ///
 /// On a bus in virtual time a loop is late only by the time in which calls wait.
 #[must_use = "it watches nothing before its first look"]
