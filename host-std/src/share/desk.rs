@@ -348,7 +348,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
-        clerk.keep_alive(state.at_work > 0 || state.is_any_left_alone());
+        clerk.keep_alive(state.at_work > 0, state.is_any_left_alone());
         matches!(state.life, Life::Running)
     }
 

@@ -147,7 +147,7 @@ pub(super) trait Clerk<E> {
     fn watch(&mut self, watched: &mut Watched) -> bool;
 
     /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus.
-    fn keep_alive(&mut self, is_any_at_work: bool);
+    fn keep_alive(&mut self, is_any_at_work: bool, is_any_left_alone: bool);
 }
 
 impl<E> State<E> {
@@ -299,7 +299,8 @@ impl<E> State<E> {
         }
         if is_any_late {
             // What another loop is to hold may fall, and that loop may be late in a moment.
-            let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold);
+            let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
+                || !self.stopped.without(self.switched_off).is_empty();
             let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
             let (answer, Waiting { asker, .. }) = Waiting::new();
             // It is refused only by a bus that has panicked. Nobody waits for it.

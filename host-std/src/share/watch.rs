@@ -16,13 +16,14 @@ use crate::open::BusError;
 /// times have to be.
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
-/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch of the bus is to
-/// hold its motors, else switched off. The stop latches. The same happens if the driver of the bus holds its thread for
+/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has
+/// looked is to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same happens if the driver of the bus holds its thread for
 /// as long: no set-point was sent meanwhile. In all other cases the watch stops nothing: leave the loop through a
 /// [`Guard`](super::Guard).
 ///
-/// After a stop of all, by whoever, the loop need not look until it goes on. While that stop is in force and the watch
-/// lives, the bus asks the motors, so that their protection (0xB3) does not let their loads fall.
+/// After a stop of all, by whoever, the loop need not look, and is watched again from its next look on: leave the loop
+/// when a set-point is refused. While that stop is in force and a watch that has looked lives, the bus asks the motors,
+/// so that their protection (0xB3) does not let their loads fall.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -150,13 +151,15 @@ impl Watched {
         (self.is_excused, self.is_due) = (true, false);
     }
 
-    /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be stopped.
+    /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be
+    /// stopped.
     pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         let has_looked = std::mem::take(&mut self.is_due);
         // It begins, or goes on after a stop; or it was told of trouble, and may hang before it has left.
         if has_looked && (self.is_excused || self.found.is_some()) {
             self.watch = self.watch.anew(now);
             self.is_excused = false;
+            return false;
         }
         let is_late = self.late_after().is_some_and(|time| now > time);
         if self.found.is_none() && (has_looked || is_late) {

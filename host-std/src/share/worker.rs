@@ -33,6 +33,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         asked: Vec::new(),
         stopping: Vec::new(),
         keep_alive: None,
+        is_any_waiting: false,
         moved: MotorSet::EMPTY,
         waiting: Vec::new(),
         turn_ends: None,
@@ -87,6 +88,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
     /// which may hang. If that is a loop that is watched, all are stopped, and asked.
     keep_alive: Option<KeepAlive>,
+    /// A stop, or a function that works with one motor, waits.
+    is_any_waiting: bool,
     /// Told to move since they were last stopped. Only whoever moves them keeps them alive: it may hang.
     moved: MotorSet,
     /// Callers that wait for a time.
@@ -267,7 +270,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             // because of it.
             let late_at = self.late_after.map(|time| time + Duration::from_micros(1));
             self.runner.idle(wake_at.into_iter().chain(late_at).min().unwrap_or(NEVER));
-        } else if wake_at.is_some()
+        } else if self.is_any_waiting
+            || !self.waiting.is_empty()
+            || self.turn_ends.is_some()
             || !self.asked.is_empty()
             || self.runner.master().poll_at().is_some()
         {
@@ -355,8 +360,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         is_late
     }
 
-    fn keep_alive(&mut self, is_any_at_work: bool) {
-        if self.stopping.is_empty() && !is_any_at_work {
+    fn keep_alive(&mut self, is_any_at_work: bool, is_any_left_alone: bool) {
+        self.is_any_waiting = is_any_at_work || !self.stopping.is_empty();
+        if !self.is_any_waiting && !is_any_left_alone {
             // What is still to come of its questions is for nobody.
             self.keep_alive.take_if(|it| !it.is_waiting());
             return;

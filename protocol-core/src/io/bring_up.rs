@@ -142,7 +142,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///
 /// # Errors
 /// - [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Noise`],
-///   [`BringUpError::Turns`], [`BringUpError::BrakeSlips`], and [`BringUpError::Call`] if the motor was not told its id;
+///   [`BringUpError::Turns`], [`BringUpError::BrakeSlips`], and [`BringUpError::Call`] if the motor was not told its
+///   id;
 /// - [`BringUpError::IdNotTaken`], [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was, and
 ///   [`BringUpError::IdShared`] if another motor answers under either id then.
 pub fn change_id<R: Runner<N>, const N: usize>(

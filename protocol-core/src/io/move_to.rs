@@ -338,8 +338,8 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// Whether it has come no nearer for `after`, when it was `distance` away at some time of this look. Coming nearer by
-    /// less than the tolerance does not count.
+    /// Whether it has come no nearer for `after`, when it was `distance` away at some time of this look. Coming nearer
+    /// by less than the tolerance does not count.
     fn has_stalled(
         &mut self,
         distance: u32,

@@ -52,7 +52,7 @@ impl Clerk<CanError> for Notes {
         self.looked_at
     }
 
-    fn keep_alive(&mut self, _: bool) {}
+    fn keep_alive(&mut self, _: bool, _: bool) {}
 
     fn watch(&mut self, _: &mut Watched) -> bool {
         self.late.pop().unwrap()
@@ -600,5 +600,20 @@ fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
             assert_eq!(notes.noted, [format!("stop all: {expected}")]);
             assert!(notes.late.is_empty(), "each was looked at");
         }
+    }
+}
+
+/// Whoever has stopped it wants it held: another motor's loop does not let it go.
+#[test]
+fn a_loop_that_is_late_lets_go_nothing_that_a_stop_of_its_own_holds() {
+    for (kind, expected) in [(StopKind::Hold, "Hold"), (StopKind::Off, "Off")] {
+        let desk = new_desk();
+        desk.look(&mut None, &Watch::new(id(1).into(), Instant::ZERO), StopKind::Off)
+            .unwrap()
+            .unwrap();
+        drop(desk.stop(id(2), kind, None).unwrap());
+        let mut notes = Notes { late: vec![true], ..Notes::default() };
+        desk.take(&mut notes);
+        assert_eq!(notes.noted.last().unwrap(), &format!("stop all: {expected}"));
     }
 }

@@ -346,8 +346,31 @@ fn virtual_time_stands_still_while_a_loop_that_is_watched_does_nothing() {
     watch.look().unwrap();
     // The question of the watch, and its answer.
     thread::sleep(time::Duration::from_millis(30));
-    let now = fleet.world.now();
-    thread::sleep(time::Duration::from_millis(30));
-    assert_eq!(fleet.world.now(), now);
+    let stands_still = || {
+        let now = fleet.world.now();
+        thread::sleep(time::Duration::from_millis(30));
+        assert_eq!(fleet.world.now(), now);
+    };
+    stands_still();
     watch.look().unwrap();
+    // Also while the bus asks motors that its loop leaves alone.
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+    thread::sleep(time::Duration::from_millis(30));
+    stands_still();
+    drop(watch);
+}
+
+/// It goes on cycling, and its set-points are refused.
+#[test]
+fn looks_under_a_stop_ask_nothing() {
+    let (fleet, bus) = shared(1);
+    let mut watch = bus.watch(id(1).into(), StopKind::Hold);
+    watch.look().unwrap();
+    assert!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap().is_empty());
+    let log = fleet.world.log();
+    for _ in 0..50 {
+        watch.look().unwrap();
+        thread::sleep(time::Duration::from_millis(1));
+    }
+    assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x9A));
 }
