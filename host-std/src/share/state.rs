@@ -146,7 +146,8 @@ pub(super) trait Clerk<E> {
     /// Looks at what is watched. True if its loop is late.
     fn watch(&mut self, watched: &mut Watched) -> bool;
 
-    /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus.
+    /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus, or
+    /// a loop leaves its motors alone.
     fn keep_alive(&mut self, is_any_at_work: bool, is_any_left_alone: bool);
 }
 

@@ -86,7 +86,7 @@ struct Worker<R: Runner<N>, const N: usize> {
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
     /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
-    /// which may hang. If that is a loop that is watched, all are stopped, and asked.
+    /// which may hang. Motors of a loop that is watched are asked while all are stopped.
     keep_alive: Option<KeepAlive>,
     /// A stop, or a function that works with one motor, waits.
     is_any_waiting: bool,

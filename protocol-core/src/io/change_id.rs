@@ -82,7 +82,6 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// Who has an id.
-#[derive(Clone, Copy, PartialEq, Eq)]
 enum Who {
     Nobody,
     Somebody,

@@ -41,6 +41,11 @@ fn nth(number: u32) -> impl FnMut() -> bool {
     }
 }
 
+/// Has a drive say that it has run for so long.
+fn say_run_time(data: &mut Data, runs_ms: u64) {
+    data[4..].copy_from_slice(&u32::try_from(runs_ms).unwrap().to_le_bytes());
+}
+
 /// How a move ends, and after how many looks, if its caller is held up for ten seconds during this look (the first is
 /// 0). The motor stays where it is, and turns for so many looks.
 fn moved(look: u32, turns_for: u32, limits: &MoveLimits) -> (MoveFailure<Broken>, u32) {
@@ -98,8 +103,7 @@ fn drive_has_not_restarted_because_the_caller_was_held_up() {
         let mut reads = 0;
         let (_, mut arm) = arm(move |data, clock| {
             if data[0] == 0xB1 {
-                let runs_ms = u32::try_from(clock.micros() / 1_000 + 300).unwrap();
-                data[4..].copy_from_slice(&runs_ms.to_le_bytes());
+                say_run_time(data, clock.micros() / 1_000 + 300);
                 reads += 1;
                 if (2..2 + late).contains(&reads) {
                     clock.advance(10_000_000);
@@ -121,8 +125,7 @@ fn drive_has_restarted_though_the_question_was_held_up() {
             if is_held_up() {
                 clock.advance(10_000_000);
             }
-            let runs_ms = told_at.map_or(300, |told_at| (clock.micros() - told_at) / 1_000);
-            data[4..].copy_from_slice(&u32::try_from(runs_ms).unwrap().to_le_bytes());
+            say_run_time(data, told_at.map_or(300, |told_at| (clock.micros() - told_at) / 1_000));
             told_at.get_or_insert(clock.micros());
         }
     });
@@ -310,8 +313,7 @@ fn drive_that_runs_for_no_longer_than_since_it_was_told_has_restarted() {
                 return;
             }
             clock.advance(10_000_000);
-            let runs_ms = u32::try_from((clock.micros() - told) / 1_000).unwrap();
-            data[4..].copy_from_slice(&runs_ms.to_le_bytes());
+            say_run_time(data, (clock.micros() - told) / 1_000);
         }
     });
     assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
@@ -326,13 +328,11 @@ fn move_of_a_drive_that_may_have_restarted_is_not_gone_on_with() {
         0x70 => data[7] = 0,
         0xB1 => {
             reads += 1;
-            let runs_ms = if reads == 1 {
-                300
-            } else {
-                clock.advance(10_000_000);
-                clock.micros() / 1_000 - 9_000
-            };
-            data[4..].copy_from_slice(&u32::try_from(runs_ms).unwrap().to_le_bytes());
+            if reads == 1 {
+                return say_run_time(data, 300);
+            }
+            clock.advance(10_000_000);
+            say_run_time(data, clock.micros() / 1_000 - 9_000);
         }
         _ => {}
     });
