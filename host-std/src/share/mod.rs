@@ -115,6 +115,7 @@ mod calls;
 mod desk;
 mod error;
 mod guard;
+mod moved;
 mod shared_bus;
 mod state;
 mod subscription;

@@ -3,6 +3,7 @@
 mod desk;
 mod watch;
 
+use std::any::Any;
 use std::fmt::{Debug, Display};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, sync_channel};
@@ -23,6 +24,8 @@ use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, Milliseconds, 
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
+use super::calls::{Insistence, Untyped};
+use super::desk::Desk;
 use super::{Guard, Guards, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};
@@ -260,6 +263,40 @@ fn motor_whose_thread_hangs_is_let_go_by_its_protection_though_a_function_keeps_
     // It hangs from here on.
     bus.restart(id(1)).unwrap();
     assert!(has_output(1) && !has_output(2));
+}
+
+/// Its thread goes on before the stop is confirmed: the confirmation says nothing of what came after the stop.
+#[test]
+fn motor_moved_again_before_its_stop_is_confirmed_is_let_go_by_its_protection() {
+    let stops: [fn(&Desk<CanError>) -> Box<dyn Any>; 3] = [
+        |desk| Box::new(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
+        |desk| Box::new(desk.stop(id(3), StopKind::Hold, None)),
+        |desk| Box::new(desk.ask(id(3), Untyped::of(&Stop), Insistence::Attempts(15), None)),
+    ];
+    for (number, stop) in stops.into_iter().enumerate() {
+        let (fleet, bus) = shared(3);
+        bus.protect(id(3), Milliseconds::from_raw(300)).unwrap();
+        bus.ask(id(1), ReadStatus1).unwrap();
+        bus.set_point(id(3), turn(90.0)).unwrap();
+        bus.ask(id(3), ReadStatus1).unwrap();
+        let station = fleet.drives[2].station();
+        fleet.world.cut(station);
+        let waiting = stop(bus.desk());
+        bus.lift_stop().unwrap();
+        // The thread takes the stop up before the set-point, and both before the stop is confirmed.
+        bus.ask(id(1), ReadStatus1).unwrap();
+        bus.set_point(id(3), turn(90.0)).unwrap();
+        bus.ask(id(1), ReadStatus1).unwrap();
+        let mut events = bus.subscribe(10_000);
+        fleet.world.mend(station);
+        assert!(
+            events.any(|event| matches!(event, Event::Feedback { motor, .. } if motor == id(3)))
+        );
+        drop(waiting);
+        // It hangs from here on.
+        bus.restart(id(1)).unwrap();
+        assert!(!fleet.drives[2].with(|drive| drive.state()).output_on, "{number}");
+    }
 }
 
 /// Whoever moved them has stopped them, and need not keep them alive any more. A restart takes more than a second.

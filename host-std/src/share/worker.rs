@@ -14,6 +14,7 @@ use myactuator_protocol_core::{Data, MotorId};
 use super::SharedBusError;
 use super::calls::{Answer, Asker, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
+use super::moved::Moved;
 use super::state::{Clerk, Put};
 use super::watch::Watched;
 use crate::open::since_boot;
@@ -34,7 +35,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         stopping: Vec::new(),
         keep_alive: None,
         is_any_waiting: false,
-        moved: MotorSet::EMPTY,
+        moved: Moved::default(),
         waiting: Vec::new(),
         turn_ends: None,
         late_after: None,
@@ -90,8 +91,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     keep_alive: Option<KeepAlive>,
     /// A stop, or a function that works with one motor, waits.
     is_any_waiting: bool,
-    /// Told to move since they were last stopped. Only whoever moves them keeps them alive: it may hang.
-    moved: MotorSet,
+    /// Only whoever moves these keeps them alive: it may hang.
+    moved: Moved,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
@@ -181,9 +182,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             desk.has_restarted(motor);
         }
         match *event {
-            Event::StopConfirmed { motor } => self.moved.remove(motor),
+            Event::StopConfirmed { motor } => self.moved.is_stopped(motor),
             Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
-                self.moved.remove(ticket.motor());
+                self.moved.is_stopped(ticket.motor());
             }
             _ => {}
         }
@@ -333,10 +334,14 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
+                self.moved.is_to_stop(MotorSet::ALL);
                 self.await_stop(Some(StopOfAll { kind, asker }), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
-                Ok(()) => self.await_stop(None, motor.into(), MotorSet::EMPTY, answer),
+                Ok(()) => {
+                    self.moved.is_to_stop(motor.into());
+                    self.await_stop(None, motor.into(), MotorSet::EMPTY, answer);
+                }
                 Err(refusal) => {
                     let _ = answer.send(Err(SharedBusError::Refused { motor, refusal }));
                 }
@@ -369,7 +374,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         }
         let now = self.runner.now();
         let keep_alive = self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
-        keep_alive.ask(MotorSet::ALL.without(self.moved), self.runner.master(), now);
+        keep_alive.ask(MotorSet::ALL.without(self.moved.all()), self.runner.master(), now);
     }
 
     fn set_point(
@@ -379,7 +384,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         found_at: Instant,
     ) -> Result<(), RequestError> {
         self.note_work();
-        self.moved.insert(motor);
+        self.moved.is_moved(motor);
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
@@ -409,7 +414,10 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         match ticket {
             Ok(ticket) => {
                 if command.kind.moves() {
-                    self.moved.insert(motor);
+                    self.moved.is_moved(motor);
+                }
+                if command.kind.ends_motion() {
+                    self.moved.is_to_stop(motor.into());
                 }
                 let Question { asker, answer, .. } = question;
                 self.asked.push(Asked { asker, ticket, answer });
