@@ -285,18 +285,17 @@ impl<E> State<E> {
             self.last_watch
         });
         let watched = self.watches.iter_mut().find(|watched| watched.key == key);
-        watched.expect("it is there until its handle is dropped").is_looked_at()
+        let watched = watched.expect("it is there until its handle is dropped");
+        // Under a stop it moves nothing, and may leave because of it.
+        if self.stops_all { watched.found() } else { watched.is_looked_at() }
     }
 
     /// Has the clerk look at what is watched, and stops all motors if a loop is late. While a stop of all is in force,
-    /// none is, and that stays as it is: a motor that it holds must not be let go.
+    /// none is: a motor that it holds must not be let go.
     pub(super) fn look_after_loops(&mut self, clerk: &mut impl Clerk<E>) {
         let mut is_any_late = false;
         for watched in &mut self.watches {
             is_any_late |= clerk.watch(watched);
-            if self.stops_all {
-                watched.excuse();
-            }
         }
         if is_any_late {
             // What another loop is to hold may fall, and that loop may be late in a moment.

@@ -16,14 +16,14 @@ use crate::open::BusError;
 /// times have to be.
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
-/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has
-/// looked is to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same happens if the driver of the bus holds its thread for
-/// as long: no set-point was sent meanwhile. In all other cases the watch stops nothing: leave the loop through a
-/// [`Guard`](super::Guard).
+/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has looked is
+/// to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same
+/// happens if the driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases
+/// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
 ///
-/// After a stop of all, by whoever, the loop need not look, and is watched again from its next look on: leave the loop
-/// when a set-point is refused. While that stop is in force and a watch that has looked lives, the bus asks the motors,
-/// so that their protection (0xB3) does not let their loads fall.
+/// After a stop of all, by whoever, the loop need not look. It is watched again from its first look after that stop was
+/// lifted: leave the loop when a set-point is refused. While the stop is in force and a watch that has looked lives,
+/// the bus asks the motors, so that their protection (0xB3) does not let their loads fall.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -125,7 +125,7 @@ pub(super) struct Watched {
     watch: io::Watch,
     /// The loop has looked, and the thread has not.
     is_due: bool,
-    /// It has not looked yet, or all motors were stopped since it has: then it moves nothing.
+    /// It has not looked since all motors were stopped, or not yet: it moves nothing.
     is_excused: bool,
     found: Option<Trouble>,
 }
@@ -139,6 +139,11 @@ impl Watched {
     /// The loop looks. Returns what was found before.
     pub(super) fn is_looked_at(&mut self) -> Result<(), Trouble> {
         self.is_due = true;
+        self.found()
+    }
+
+    /// What was found.
+    pub(super) fn found(&self) -> Result<(), Trouble> {
         self.found.map_or(Ok(()), Err)
     }
 
@@ -146,7 +151,7 @@ impl Watched {
         self.watch.note(event);
     }
 
-    /// All motors are stopped: the loop need not look until it goes on. That it has looked before does not count.
+    /// All motors are stopped: the loop need not look until it goes on. A look before that does not count.
     pub(super) fn excuse(&mut self) {
         (self.is_excused, self.is_due) = (true, false);
     }

@@ -4,6 +4,7 @@ use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::{self, Trouble};
 
 use super::*;
+use crate::share::calls::Order;
 use crate::share::watch::Watched;
 use crate::share::{LoopError, Watch};
 
@@ -373,4 +374,27 @@ fn looks_under_a_stop_ask_nothing() {
         thread::sleep(time::Duration::from_millis(1));
     }
     assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x9A));
+}
+
+/// The stop is lifted before the thread has seen either. The loop has left because of it.
+#[test]
+fn a_look_under_a_stop_does_not_count_after_it() {
+    let desk: Desk<CanError> = Desk::new(None);
+    let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
+    let master = &mut Master::<1>::new(Config::CAN);
+    let mut key = None;
+    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
+    let looks = |desk: &Desk<CanError>, at: u64, master: &mut Master<1>| {
+        desk.lock().watches[0].look(master, Instant::from_millis(at))
+    };
+    assert!(!looks(&desk, 0, master));
+    let _stop = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
+    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
+    desk.order(Order::LiftStop).unwrap();
+    assert!(!looks(&desk, 10, master));
+    assert_eq!(desk.lock().watches[0].late_after(), None);
+    // It goes on.
+    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
+    assert!(!looks(&desk, 20, master));
+    assert_eq!(desk.lock().watches[0].late_after(), Some(Instant::from_millis(120)));
 }
