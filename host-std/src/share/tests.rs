@@ -268,7 +268,8 @@ fn motor_whose_thread_hangs_is_let_go_by_its_protection_though_a_function_keeps_
 /// Its thread goes on before the stop is confirmed: the confirmation says nothing of what came after the stop.
 #[test]
 fn motor_moved_again_before_its_stop_is_confirmed_is_let_go_by_its_protection() {
-    let stops: [fn(&Desk<CanError>) -> Box<dyn Any>; 3] = [
+    type BeginStop = fn(&Desk<CanError>) -> Box<dyn Any>;
+    let stops: [BeginStop; 3] = [
         |desk| Box::new(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
         |desk| Box::new(desk.stop(id(3), StopKind::Hold, None)),
         |desk| Box::new(desk.ask(id(3), Untyped::of(&Stop), Insistence::Attempts(15), None)),

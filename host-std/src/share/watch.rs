@@ -16,8 +16,8 @@ use crate::open::BusError;
 /// times have to be.
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
-/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has looked is
-/// to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same
+/// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has looked
+/// is to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same
 /// happens if the driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases
 /// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
 ///
