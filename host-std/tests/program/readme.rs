@@ -7,6 +7,8 @@ mod ask_move_stop;
 #[path = "../../examples/control_loop.rs"]
 #[expect(dead_code, reason = "its tests are run here")]
 mod control_loop;
+#[path = "../../examples/going_on.rs"]
+mod going_on;
 #[path = "../../examples/threads.rs"]
 #[expect(dead_code, reason = "its test is run here")]
 mod threads;
