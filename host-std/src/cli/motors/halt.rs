@@ -552,7 +552,7 @@ mod tests {
         for message in [stopped, found] {
             let Err(Unfinished::Failed(message)) = message else { panic!("{message:?}") };
             assert!(
-                message.contains("bytes arrive that are no valid frame (do two motors"),
+                message.contains("bytes arrive that are no valid frame (two motors"),
                 "{message}"
             );
         }
@@ -565,7 +565,7 @@ mod tests {
             let stopped = stop_every_id(&mut session, StopKind::Hold).unwrap();
             assert!(stopped.contains(third));
             let message = of_others(&session, Target::All, stopped);
-            assert_eq!(message.contains("do two motors have one id?"), is_told, "{message}");
+            assert_eq!(message.contains("two motors with one id?"), is_told, "{message}");
         }
         let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
         fleet.world.cut(fleet.drives[0].station());

@@ -11,8 +11,8 @@ use super::session::Session;
 use crate::cli::{Outcome, Unfinished, report};
 
 /// Bytes arrived on RS485 that cannot be understood.
-const NO_FRAME: &str =
-    "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
+const NO_FRAME: &str = "bytes arrive that are no valid frame (two motors with one id? connect only one of them; or \
+                        another bit rate, or noise on the line)";
 
 /// How to try other bit rates on this bus.
 pub(super) fn other_rates(address: &BusAddress) -> String {
@@ -186,9 +186,9 @@ mod tests {
 
     #[test]
     fn invalid_bytes_of_two_motors_that_answer_at_once_are_reported() {
-        let hint = "bytes arrive that are no valid frame (do two motors have one id? connect only one of them)";
         let both = error_of_question(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
-        assert!(both.ends_with(hint), "{both}");
+        assert!(both.ends_with(NO_FRAME), "{both}");
+        assert!(both.contains("two motors with one id") && both.contains("noise"), "{both}");
         let nobody = error_of_question(&Fleet::new(1), 2);
         assert!(nobody.ends_with("is this its id?"), "{nobody}");
     }
