@@ -46,6 +46,8 @@ pub(super) struct Askings<C: Command, E, const M: usize> {
     patience: Option<Patience>,
     /// Until when they wait for their turns.
     latest_turn: Instant,
+    /// What the bus has reported meanwhile.
+    error: Option<E>,
 }
 
 struct Asking<C: Command, E> {
@@ -65,7 +67,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         now: Instant,
     ) -> Self {
         let asking = |(motor, command)| Asking { motor, command, ticket: None, outcome: None };
-        Self { all: questions.map(asking), patience, latest_turn: now + LONGEST_TURN }
+        Self { all: questions.map(asking), patience, latest_turn: now + LONGEST_TURN, error: None }
     }
 
     /// Puts those that can be put; a motor may be busy for a while. Returns whether any of them is still open.
@@ -109,18 +111,23 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         })
     }
 
-    /// The bus has failed, which is the outcome of one of them. The others may have been sent, and go on.
+    /// The bus reports an error. What is under way may be answered all the same.
     pub(super) fn bus_has_failed(&mut self, error: E) {
-        if let Some(it) = self.open().next() {
-            it.outcome = Some(Err(CallError::Bus(error)));
-        }
+        self.error.get_or_insert(error);
     }
 
-    /// The outcome of each, once none is open.
+    /// The outcome of each, once none is open. An error of the bus is the outcome of one that has no answer.
     pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
+        let error = &mut self.error;
         self.all.each_mut().map(|it| {
             let bus_is_down = CallError::Failed { motor: it.motor, failure: Failure::BusDown };
-            it.outcome.take().unwrap_or(Err(bus_is_down))
+            let outcome = it.outcome.take().unwrap_or(Err(bus_is_down));
+            match outcome {
+                Err(CallError::Failed { .. }) => {
+                    error.take().map_or(outcome, |it| Err(CallError::Bus(it)))
+                }
+                outcome => outcome,
+            }
         })
     }
 

@@ -17,7 +17,8 @@ use crate::time::Instant;
 
 /// An async CAN controller, for which embedded-can has no trait.
 ///
-/// The drivers of the HALs have these two functions under other names, often on two halves:
+/// The drivers of the HALs have these two functions under other names, often on two halves. What they should report,
+/// and what not, is told [there](crate::io#what-a-driver-reports).
 ///
 /// ```
 /// # mod hal {

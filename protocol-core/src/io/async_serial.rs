@@ -25,7 +25,8 @@ use crate::wire::rs485::Frame;
 /// (embassy's `BufferedUart`, its `RingBufferedUartRx`). Ports that read by DMA straight to the caller's memory are
 /// not.
 ///
-/// The port's `flush` must wait until the last byte has left.
+/// The port's `flush` must wait until the last byte has left. Its `read` reports no error of single bytes, as with
+/// [`SerialMaster`](crate::io::SerialMaster).
 #[derive(Debug)]
 pub struct AsyncSerialMaster<S: ErrorType, K, const N: usize> {
     serial: S,

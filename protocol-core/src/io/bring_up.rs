@@ -9,6 +9,49 @@
 //! All motors that have the named id obey, on a bus of motors as they come from the factory often several. Find out
 //! first whether an id [is shared](is_shared).
 //!
+//! **After a crash or a watchdog's reset motors may still run as they were told.** Stop those of your robot first, by
+//! their ids: `bus.stop_all(StopKind::Hold, ids)`.
+//!
+//! # While a function here waits
+//! Some take seconds. To look at a button meanwhile, or to feed a watchdog, give them a loop of your own around that of
+//! the bus. A stop that it calls for is sent before anything else, and ends the function:
+//!
+//! ```
+//! use myactuator_protocol_core::io::Runner;
+//! use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
+//! use myactuator_protocol_core::time::Instant;
+//!
+//! struct Attended<R, B> {
+//!     bus: R,
+//!     /// Whether the button was pressed since this was last called. Also feeds the watchdog.
+//!     was_pressed: B,
+//! }
+//!
+//! impl<R: Runner<8>, B: FnMut() -> bool> Runner<8> for Attended<R, B> {
+//!     type Error = R::Error;
+//!
+//!     fn master(&mut self) -> &mut Master<8> {
+//!         self.bus.master()
+//!     }
+//!
+//!     fn now(&self) -> Instant {
+//!         self.bus.now()
+//!     }
+//!
+//!     fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+//!         if (self.was_pressed)() {
+//!             // It is refused only if the master has no place for a motor that is named.
+//!             let _ = self.bus.master().stop_all(StopKind::Hold, MotorSet::EMPTY);
+//!         }
+//!         self.bus.poll()
+//!     }
+//!
+//!     fn idle(&mut self, until: Instant) {
+//!         self.bus.idle(until);
+//!     }
+//! }
+//! ```
+//!
 //! # Functions that switch a motor off
 //! [`zero_here`], [`change_id`] and [`restart`] are refused while a stop is in force for the motor, and switch it off
 //! before they write or restart anything. If it may hold a load, its brake is told to lock (0x78) before. If the load
@@ -184,7 +227,8 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// turn the shaft, this waits until the motor has brought it to rest, and locks the brake again if that takes more than
 /// half a second. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
-/// Speed and position commands open a brake on their own, and hold.
+/// Call this before speed and position commands, too. Simulated drives open their brakes for those on their own; the
+/// manual does not say whether real ones do.
 ///
 /// # Errors
 /// [`BringUpError::Fault`], [`BringUpError::BrakeNotReleased`], [`BringUpError::NotHeld`], [`BringUpError::Call`].

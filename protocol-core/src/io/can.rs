@@ -9,7 +9,8 @@ use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::can;
 
-/// Runs a [`Master`] on a CAN controller.
+/// Runs a [`Master`] on a CAN controller. What its driver should report, and what not, is told
+/// [there](crate::io#what-a-driver-reports).
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::io::{CanMaster, Clock, Runner};
@@ -75,15 +76,23 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
     type Error = C::Error;
 
     fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, C::Error> {
+        let mut is_disturbed = false;
         while pump.looks_again() {
             match self.0.receive() {
                 Ok(frame) => {
+                    is_disturbed = false;
                     let event = pump.master.handle_frame(&can::decode(&frame), now);
                     if event.is_some() {
                         return Ok(event);
                     }
                 }
                 Err(::nb::Error::WouldBlock) => break,
+                // A controller that says so again at once says it at each look.
+                Err(::nb::Error::Other(error))
+                    if is_of_one_frame(error.kind()) && !is_disturbed =>
+                {
+                    is_disturbed = true;
+                }
                 Err(::nb::Error::Other(error)) => return Err(error),
             }
         }
@@ -123,6 +132,12 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
     fn is_overrun(error: &C::Error) -> bool {
         error.kind() == ErrorKind::Overrun
     }
+}
+
+/// Whether an error says only that one frame was disturbed. Whoever has sent that frame sends it again.
+const fn is_of_one_frame(error: ErrorKind) -> bool {
+    use ErrorKind::{Acknowledge, Bit, Crc, Form, Stuff};
+    matches!(error, Bit | Stuff | Crc | Form | Acknowledge)
 }
 
 /// Adapts a blocking CAN driver to [`CanMaster`].

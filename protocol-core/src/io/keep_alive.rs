@@ -198,19 +198,6 @@ impl<'a, R: ?Sized> KeptAlive<'a, R> {
     {
         self.questions.takes(event, self.runner.now())
     }
-
-    /// An event that the master still has after an error of the bus, which may come back at each look.
-    pub(super) fn poll_event<const N: usize>(&mut self) -> Option<Event>
-    where
-        R: AsyncRunner<N>,
-    {
-        loop {
-            let event = self.runner.master().poll_event()?;
-            if !self.takes(&event) {
-                return Some(event);
-            }
-        }
-    }
 }
 
 impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeptAlive<'_, R> {
@@ -222,6 +209,15 @@ impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeptAlive<'_
 
     fn now(&self) -> Instant {
         self.runner.now()
+    }
+
+    fn poll_event(&mut self) -> Option<Event> {
+        loop {
+            let event = self.runner.poll_event()?;
+            if !self.takes(&event) {
+                return Some(event);
+            }
+        }
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, R::Error> {

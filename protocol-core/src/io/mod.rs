@@ -18,6 +18,24 @@
 //! The example `several_tasks` of `myactuator-host-std` shows that; the `share` of that crate does it for threads.
 //! Several buses run in one task each, or in one task that `join`s their futures, as in the example `two_arms`.
 //!
+//! # What a driver reports
+//! | what has happened | what the driver returns |
+//! |---|---|
+//! | it has no room for a frame | `WouldBlock`; a task's `transmit` is pending |
+//! | a received CAN frame found no room | an error of kind `Overrun`, which is an [`Event::Overrun`] |
+//! | a CAN frame was disturbed | nothing, or one error of kind `Bit`, `Stuff`, `Crc`, `Form` or `Acknowledge` |
+//! | bytes on RS485 were disturbed or found no room | nothing: the checksum shows it |
+//! | bus-off, or the driver has failed | any other error |
+//!
+//! A disturbed frame on CAN is sent again by whoever has sent it.
+//!
+//! Any other error ends the call, except for a stop, and for a question that is answered all the same. So it ends a
+//! control loop that hands errors on. What waits and may move a motor is dropped. If only receiving fails, questions
+//! and stops are still sent: a controller that complains of many errors (warning, passive) at each look is soon content
+//! again if frames are sent. It is better not to report that at all.
+//!
+//! [`Event::Overrun`]: crate::master::Event::Overrun
+//!
 //! README.md shows a control loop for eight motors, with a [`Guard`] and a [`Watch`]. The whole program is the example
 //! `control_loop` of `myactuator-host-std`.
 

@@ -66,9 +66,10 @@ impl<const N: usize> Pump<N> {
         self.looks = LOOKS_IN_A_ROW;
         self.master.handle_timeout(now);
         if failed.is_some() {
-            self.round_has_failed(now);
+            self.rests_until = now + RETRY_AFTER;
+            self.master.bus_may_be_down(now);
         }
-        // Some controllers report a bad state at each look. A stop does not wait for the end of that.
+        // Some controllers report a bad state at each look, though they send, and until they have sent enough.
         let sent = port.transmit(self, now);
         if sent.is_err() {
             self.round_has_failed(now);
@@ -76,7 +77,7 @@ impl<const N: usize> Pump<N> {
         failed.map_or(sent, Err).map(|()| None)
     }
 
-    /// The port reports an error: the bus may be down.
+    /// The port reports an error in sending.
     pub(super) fn round_has_failed(&mut self, now: Instant) {
         self.rests_until = now + RETRY_AFTER;
         self.bus_is_down(now);

@@ -44,7 +44,8 @@ pub trait Runner<const N: usize> {
     /// takes. So call this until it returns `None`: a round that receives an event sends nothing.
     ///
     /// # Errors
-    /// What the bus driver reports. The master stays sound: call again.
+    /// What the bus driver reports; see [there](crate::io#what-a-driver-reports). The master stays sound: call again.
+    /// [`Master::poll_event`] has the events that the error has kept back.
     fn poll(&mut self) -> Result<Option<Event>, Self::Error>;
 
     /// Lets the clock idle until `until`, the master's next deadline or a frame, whichever comes first, as well as the
@@ -70,8 +71,8 @@ pub trait Runner<const N: usize> {
     /// request to the motor is under way, this first waits for its end. `on_event` gets all other events.
     ///
     /// # Errors
-    /// [`CallError`]. After an error of the bus the request may still be under way; the next one waits for it. A
-    /// request that gets no turn within 2 s returns [`Busy`](crate::error::RequestError::Busy), for example because a
+    /// [`CallError`]. An error of the bus is returned if no answer comes, or if the command was dropped because of it.
+    /// A request that gets no turn within 2 s returns [`Busy`](crate::error::RequestError::Busy), for example because a
     /// stop waits for a bus that is down.
     fn ask_with<C: Command>(
         &mut self,
@@ -111,7 +112,7 @@ pub trait Runner<const N: usize> {
     /// # let _ = degrees; Ok(()) }
     /// ```
     ///
-    /// Each error of the bus is the outcome of one question, which may still be under way. The other questions go on.
+    /// An error of the bus is the outcome of one question that has no answer.
     fn ask_together<C: Command, const M: usize>(
         &mut self,
         questions: [(MotorId, C); M],

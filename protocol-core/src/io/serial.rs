@@ -11,6 +11,10 @@ use crate::time::Instant;
 
 /// Runs a [`Master`] on a serial port with an RS485 transceiver. If the port does not switch the transceiver's
 /// direction on its own, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
+///
+/// The port reports no error of single bytes (noise, framing, overrun): each would end a call that waits, or a control
+/// loop. The checksum shows what is wrong. If a HAL reports them, wrap it; see
+/// [what a driver reports](crate::io#what-a-driver-reports).
 #[derive(Clone, Debug)]
 pub struct SerialMaster<S, K, const N: usize> {
     serial: S,

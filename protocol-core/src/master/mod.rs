@@ -383,6 +383,17 @@ impl<const N: usize> Master<N> {
         self.change_all(|motor, config| motor.bus_is_down(now, config));
     }
 
+    /// The bus may be down, since receiving has failed: what may move a motor is not sent. Questions are, because the
+    /// answers show that the bus is intact, and because motors that hold have to be spoken to.
+    pub(crate) fn bus_may_be_down(&mut self, now: Instant) {
+        self.now = now;
+        self.offer = None;
+        if self.broadcast.is_waiting() {
+            self.broadcast.cancel_what_moves();
+        }
+        self.change_all(|motor, config| motor.bus_may_be_down(now, config));
+    }
+
     /// Returns the next event, apart from those that [`handle_frame`](Self::handle_frame) and
     /// [`handle_line`](Self::handle_line) returned.
     pub fn poll_event(&mut self) -> Option<Event> {
@@ -398,7 +409,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// RS485: how often bytes came that are no frame: noise, or answers that collide, such as those of two motors with
-    /// one id.
+    /// one id, or those of all to a stop.
     pub const fn garbled(&self) -> u32 {
         self.garbled
     }

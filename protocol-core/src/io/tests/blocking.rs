@@ -102,8 +102,7 @@ fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     bus.state().transmit_fails = true;
     assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
     bus.state().transmit_fails = false;
-    let events = run(&mut arm, &clock, 50_000);
-    assert!(matches!(events[..], [Event::Failed { failure: Failure::BusDown, .. }]), "{events:?}");
+    assert_eq!(run(&mut arm, &clock, 50_000), []);
     assert!(bus.sent().is_empty());
 
     bus.state().receive_fails = true;
@@ -176,10 +175,7 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
     port.state().write_fails = true;
     assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
     port.state().write_fails = false;
-    assert!(matches!(
-        run(&mut arm, &clock, 20_000)[..],
-        [Event::Failed { failure: Failure::BusDown, .. }]
-    ));
+    assert_eq!(run(&mut arm, &clock, 20_000), []);
     port.state().takes_nothing = true;
     assert_eq!(
         arm.ask(id(1), step()),
@@ -194,10 +190,9 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
 fn frame_taken_by_a_serial_port_counts_as_sent_though_its_flush_fails() {
     let (port, clock, mut arm) = used_serial();
     port.state().flush_fails = true;
-    assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
+    assert!(arm.ask(id(1), step()).is_ok(), "the drive has heard it");
     port.state().flush_fails = false;
-    let events = run(&mut arm, &clock, 20_000);
-    assert!(matches!(events[..], [Event::Reply { .. }]), "the drive has heard it: {events:?}");
+    assert_eq!(run(&mut arm, &clock, 20_000), []);
 }
 
 #[test]
@@ -370,12 +365,8 @@ fn stop_is_sent_while_each_receive_fails() {
     let read = arm.master().request(id(3), ReadMultiTurnAngle);
     assert!(read.is_ok());
     assert!(!arm.stop(id(1), StopKind::Hold));
-    let stop = Stop.encode();
-    assert!(
-        bus.sent().len() > 1 && bus.sent().iter().all(|data| *data == stop),
-        "{:?}",
-        bus.sent()
-    );
+    let stops = bus.sent().into_iter().filter(|data| *data == Stop.encode());
+    assert_eq!((bus.sent()[0], stops.count()), (Stop.encode(), 15));
 
     let (port, _, mut arm) = serial();
     port.state().read_fails = true;
@@ -529,8 +520,7 @@ fn moves_sent_before_a_bus_error_are_not_reported_as_dropped() {
     let mut arm = CanMaster::<_, _, 4>::new(FailsOnce(bus.clone(), 0), clock, Config::CAN);
     let outcomes = arm.ask_together([1, 2, 3].map(|motor| (id(motor), step())));
     assert_eq!(bus.sent().len(), 3);
-    assert_eq!(outcomes[0], Err(CallError::Bus(Broken)));
-    assert!(outcomes[1].is_ok() && outcomes[2].is_ok(), "{outcomes:?}");
+    assert!(outcomes.iter().all(Result::is_ok), "{outcomes:?}");
 }
 
 /// A bus on which answers to moves are lost.

@@ -287,10 +287,9 @@ fn futures_dropped_while_a_frame_leaves_delay_no_stop() {
 fn frame_taken_by_a_serial_port_counts_as_sent_though_its_flush_fails() {
     let (port, _, mut arm) = used_serial();
     port.state().flush_fails = true;
-    assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
+    assert!(block_on(arm.ask(id(1), step())).is_ok(), "the drive has heard it");
     port.state().flush_fails = false;
-    let event = block_on(arm.next_event());
-    assert!(matches!(event, Ok(Event::Reply { .. })), "the drive has heard it: {event:?}");
+    assert_eq!(polls(arm.next_event(), 1_000), None);
 }
 
 #[test]
@@ -355,8 +354,7 @@ fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     bus.state().transmit_fails = true;
     assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
     bus.state().transmit_fails = false;
-    let event = block_on(arm.next_event()).unwrap();
-    assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
+    assert_eq!(polls(arm.next_event(), 1_000), None);
     assert!(bus.sent().is_empty());
 
     bus.state().receive_fails = true;
@@ -366,8 +364,7 @@ fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     port.state().write_fails = true;
     assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
     port.state().write_fails = false;
-    let event = block_on(arm.next_event()).unwrap();
-    assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
+    assert_eq!(polls(arm.next_event(), 1_000), None);
     assert!(block_on(arm.ask(id(2), ReadMultiTurnAngle)).is_ok());
     assert_eq!(port.written().len(), 13);
 }

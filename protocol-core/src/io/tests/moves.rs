@@ -172,7 +172,7 @@ impl<B: nb::Can<Frame = SimpleFrame, Error = Broken>> nb::Can for FailsAt<B> {
 fn brake_release_on_a_bus_that_fails_is_followed_by_a_hold() {
     for (fails, expected) in [
         (Fails::Refused, &[0x81, 0x77, 0x81][..]),
-        (Fails::NextLook, &[0x77, 0x81, 0x77, 0x81]),
+        (Fails::NextLook, &[0x77, 0x81]),
         (Fails::EachLook, &[0x77, 0x81]),
     ] {
         let (bus, _, mut arm) = on_can(|bus, clock, config| {

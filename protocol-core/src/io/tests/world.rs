@@ -270,6 +270,8 @@ pub(super) struct SerialState {
     pub(super) takes_nothing: bool,
     pub(super) flush_fails: bool,
     pub(super) read_fails: bool,
+    /// It reports an error at each look that finds nothing.
+    pub(super) complains: bool,
     /// Whether the adapter hands back what is written.
     pub(super) echoes: bool,
     /// It hands over what it received at multiples of so many microseconds; 0 for at once.
@@ -352,6 +354,7 @@ impl TestSerial {
         let state = self.state.borrow();
         state.closed
             || state.read_fails
+            || state.complains
             || state.to_read.front().is_some_and(|&(at, _)| at <= self.clock.micros())
     }
 }
@@ -396,6 +399,9 @@ impl embedded_io::Read for TestSerial {
             buf[length] = byte;
             length += 1;
             state.to_read.pop_front();
+        }
+        if length == 0 && state.complains {
+            return Err(Broken);
         }
         Ok(length)
     }

@@ -417,10 +417,19 @@ impl Motor {
                 self.note_silence(config, now);
             }
         }
-        self.drop_waiting_set_point();
         self.late.extend(now, config);
         self.on_its_way.extend(now, config);
-        if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
+        self.drop_waiting(|asked| !asked.is_stop(), config, now);
+    }
+
+    /// The bus may be down: what waits is dropped if a stop would refuse it.
+    pub(super) fn bus_may_be_down(&mut self, now: Instant, config: &Config) {
+        self.drop_waiting(|asked| asked.kind().is_refused_while_stopped(), config, now);
+    }
+
+    fn drop_waiting(&mut self, is_dropped: impl Fn(&Asked) -> bool, config: &Config, now: Instant) {
+        self.drop_waiting_set_point();
+        if self.request.waiting().is_some_and(is_dropped) {
             self.request_has_failed(Failure::BusDown, config, now);
         }
     }
