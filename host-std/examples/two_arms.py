@@ -31,7 +31,7 @@ with (
 
     try:
         for motor in (1, 2, 3):
-            # To 45 degrees, in steps of 0.01, at up to 90 degrees a second. This opens the brake.
+            # To 45 degrees, in steps of 0.01, at up to 90 degrees a second. Here this opens the brake.
             ask(motor, struct.pack("<BxHi", MOVE_TO, 90, 4500))
         time.sleep(2)
         for motor in (1, 2, 3):

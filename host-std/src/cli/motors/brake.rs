@@ -15,8 +15,9 @@ use crate::cli::{Outcome, Unfinished, report};
 
 /// Release or lock a motor's brake
 ///
-/// A release lets the shaft go, and a load with it, so two motors with the same id are refused. 'speed' and 'move' need
-/// no release: they open the brake, and hold. Ctrl-C ends a release at once.
+/// A release lets the shaft go, and a load with it, so two motors with the same id are refused. 'speed' and 'move' send
+/// none: simulated drives open the brake for them, and hold; the manual does not say whether real ones do. Ctrl-C ends
+/// a release at once.
 ///
 /// A lock is refused while the motor turns and runs something: stop it first. After a lock the shaft must stand. If it
 /// does not, and the motor held it before, the brake is opened again and the motor holds (0x77, 0x81). Ctrl-C ends this
