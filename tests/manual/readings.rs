@@ -72,6 +72,21 @@ fn status_reports_the_measured_values() {
     assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
 }
 
+/// 2.29.3: the run time is a u32. So after 2^32 ms, 49.7 days, it begins anew, which is no restart.
+#[test]
+fn run_time_begins_anew_after_49_7_days() {
+    // A drive with slow loops, for a quick test.
+    let control_period = Duration::from_secs(1_000);
+    let mut bench = Bench::new(Parameters { control_period, ..Parameters::default() });
+    bench.run(Duration::from_secs(4_294_000));
+    let before = bench.ask(ReadRunTime);
+    assert_eq!(before.run_time.raw(), 4_294_000_000);
+    bench.run(Duration::from_secs(1_000));
+    let after = bench.ask(ReadRunTime);
+    assert_eq!(after.run_time.raw(), 32_704); // 4 295 000 000 - 4 294 967 296
+    assert!(!after.shows_restart_since(before));
+}
+
 /// 2.29.3: run time in ms since the start. 2.30, 2.33: version date and model are those of the drive.
 #[test]
 fn run_time_version_date_and_model_are_those_of_the_drive() {

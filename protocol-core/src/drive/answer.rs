@@ -151,8 +151,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 Some(RunningMode { mode: self.controller.mode() }.encode(opcode))
             }
             Opcode::ReadRunTime => {
-                let millis = self.run_time(self.clock).as_millis();
-                let run_time = Milliseconds::from_raw(u32::try_from(millis).unwrap_or(u32::MAX));
+                // Begins anew at 2^32 ms.
+                let run_time = Milliseconds::from_raw(self.run_time(self.clock).as_millis() as u32);
                 Some(RunTime { run_time }.encode(opcode))
             }
             Opcode::ReadVersionDate => {

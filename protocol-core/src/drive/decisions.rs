@@ -37,7 +37,8 @@
 //! - A drive hears nothing while it starts.
 //! - Below [a voltage](super::Parameters::brown_out_voltage_v) that the manual does not mention, a drive is off, as
 //!   without its supply. It starts when the voltage is back.
-//! - The run time (0xB1) counts from the beginning of the start.
+//! - The run time (0xB1) counts from the beginning of the start. It is a u32 (2.29.3), which begins anew at 0 after
+//!   2^32 ms, 49.7 days.
 //! - Without its supply, and while it starts, the motor turns freely unless it has a brake.
 //!
 //! # Motor id
