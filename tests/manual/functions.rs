@@ -6,7 +6,7 @@ use myactuator_protocol_core::{Channel, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
 
-use super::commands::{TURN, ends_at, force_to, on_by};
+use super::commands::{TURN, ends_at, force_to, on_by, within_a_turn};
 
 /// 2.35.4, function 1: clears the turns, makes the position the zero and saves it. It acts after a restart.
 #[test]
@@ -93,6 +93,8 @@ fn functions_6_and_7_limit_positions() {
         }
         ends_at(&mut bench, on_by(500.0), 90.0);
         ends_at(&mut bench, force_to(-500.0, 100), -45.0);
+        ends_at(&mut bench, within_a_turn(Direction::CLOCKWISE, 180.0), 90.0);
+        ends_at(&mut bench, within_a_turn(Direction::COUNTER_CLOCKWISE, 180.0), -45.0);
         bench.write(Stop);
     }
 }

@@ -218,12 +218,18 @@ fn acceleration_zero_tracks_directly() {
 /// 2.22.1: 0xA6 turns clockwise (0) or counter-clockwise (1) to an angle within a turn.
 #[test]
 fn single_turn_position_turns_in_the_given_direction() {
-    for (direction, end) in [(Direction::CLOCKWISE, 270.0), (Direction::COUNTER_CLOCKWISE, -90.0)] {
+    for (direction, way, end) in
+        [(Direction::CLOCKWISE, 1.0, 270.0), (Direction::COUNTER_CLOCKWISE, -1.0, -90.0)]
+    {
         let mut bench = Bench::default();
-        // The same command again is a command to stay.
-        for _ in 0..2 {
-            ends_at(&mut bench, within_a_turn(direction, 270.0), end);
+        let go = within_a_turn(direction, 270.0);
+        // The same command again is a command to stay, also for a shaft that has overshot by less than half a degree.
+        for overshoot in [0.0, 0.0, 0.4, -0.4] {
+            bench.turn_to(bench.angle() + overshoot * way);
+            ends_at(&mut bench, go, end);
         }
+        bench.turn_to(end + 0.6 * way);
+        ends_at(&mut bench, go, end + 360.0 * way);
     }
 }
 
