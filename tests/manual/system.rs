@@ -2,10 +2,13 @@
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{Event, NotRunReason};
+use myactuator_protocol_core::opcode::{ReplyRule, Usage};
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::{AnyCommand, Channel, Opcode};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
+use myactuator_tests::vectors::one_of_each;
 
 use super::commands::{force_to, on_by, report, within_a_turn};
 
@@ -64,7 +67,11 @@ fn locking_the_brake_ends_the_run() {
 }
 
 fn protected() -> Bench {
-    let mut bench = Bench::with_brake();
+    protect(Bench::with_brake())
+}
+
+/// Turns the motor and cuts its output after a silence of 100 ms.
+fn protect(mut bench: Bench) -> Bench {
     let timeout = Milliseconds::from_raw(100);
     bench.write(CommunicationLossProtection { timeout });
     bench.ask(turn(100.0));
@@ -109,6 +116,57 @@ fn the_motor_runs_again_only_once_communication_is_steady() {
     bench.ask(go);
     assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
     bench.ask(go); // the third in a row
+    assert_eq!(bench.not_run(), None);
+    assert!(bench.state().output_on);
+}
+
+/// 2.31.1: to run again, steady communication must be established first. That holds for each command that moves the
+/// motor, for 0x81 and for 0x77. All others work.
+#[test]
+fn after_a_loss_no_kind_of_command_moves_the_motor_at_once() {
+    for command in one_of_each() {
+        let opcode = command.opcode().unwrap();
+        // Without a brake, for a locked one alone forbids 0xA1, 0x81 and motion mode.
+        let mut bench = protect(Bench::default());
+        bench.run(millis(200));
+        let reply = bench.send(command);
+        assert_eq!(reply.is_some(), !matches!(opcode.reply_rule(), ReplyRule::Silent), "{opcode}");
+        assert!(!bench.state().output_on, "{opcode}");
+        let waits = matches!(opcode.usage(), Usage::SetPoint | Usage::Move)
+            || [Opcode::Stop, Opcode::ReleaseBrake].contains(&opcode);
+        assert_eq!(bench.not_run(), waits.then_some(NotRunReason::CommunicationLost), "{opcode}");
+    }
+}
+
+/// 2.31.1: the output is cut if the silence "exceeds" the set time. 2.31.4: communication is restored if its intervals
+/// are "within" that time. So an interval of exactly the set time is neither a loss nor unsteady.
+#[test]
+fn an_interval_of_exactly_the_set_time_is_in_time() {
+    let mut bench = protected();
+    let go = |bench: &mut Bench| bench.put(Channel::Command(ID.into()), turn(100.0).encode());
+    go(&mut bench);
+    bench.run(millis(100));
+    assert!(bench.state().output_on);
+    bench.run(Duration::from_micros(100)); // a step of the loops
+    assert!(bench.state().communication_lost && !bench.state().output_on);
+    for runs in [false, false, true] {
+        go(&mut bench);
+        assert_eq!(bench.state().output_on, runs);
+        bench.run(millis(100));
+    }
+    assert!(bench.state().output_on);
+}
+
+/// 2.31.1: 0 switches the protection off, so that nothing is lost any more. It does not start the motor.
+#[test]
+fn switching_the_protection_off_ends_a_loss() {
+    let mut bench = protected();
+    bench.run(millis(200));
+    assert!(bench.state().communication_lost);
+    bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(0) });
+    assert_eq!(bench.events.last(), Some(&Event::ProtectionRecovered));
+    assert!(!bench.state().communication_lost && !bench.state().output_on);
+    bench.ask(turn(100.0));
     assert_eq!(bench.not_run(), None);
     assert!(bench.state().output_on);
 }
