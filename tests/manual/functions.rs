@@ -121,6 +121,24 @@ fn a_limit_ends_the_motion_under_way() {
     }
 }
 
+/// 2.35.4, function 3: the drive sends 0x9A every 100 ms while there is an error, and none after it.
+#[test]
+fn function_3_reports_an_error_every_100_ms() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.sent.clear();
+    let since = bench.now;
+    bench.raise(ErrorFlags::OVER_VOLTAGE);
+    bench.run(millis(350));
+    let reports: Vec<_> =
+        bench.sent.iter().map(|(at, packet)| (*at - since, packet.data[0])).collect();
+    assert_eq!(reports, [0, 100, 200, 300].map(|after_ms| (millis(after_ms), 0x9A)));
+    bench.drive.clear_fault(ErrorFlags::OVER_VOLTAGE);
+    bench.sent.clear();
+    bench.run(millis(350));
+    assert!(bench.sent.is_empty(), "{:?}", bench.sent);
+}
+
 /// 2.35.4, function 3: the drive measures once a millisecond. A fault is an error after its confirm time and is
 /// reported then: the drive asks to be called at that time.
 #[test]

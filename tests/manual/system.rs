@@ -5,7 +5,7 @@ use myactuator_protocol_core::drive::{Event, NotRunReason};
 use myactuator_protocol_core::opcode::{ReplyRule, Usage};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::*;
-use myactuator_protocol_core::{AnyCommand, Channel, Opcode};
+use myactuator_protocol_core::{AnyCommand, Channel, Opcode, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
 use myactuator_tests::vectors::one_of_each;
@@ -206,8 +206,8 @@ fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
     assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
 }
 
-/// 2.34.1: the drive reports the listed commands in turn, one per interval. It does not answer polls of them. Switched
-/// off, they end.
+/// 2.34.1: the drive reports the listed commands in turn, one per interval. It does not answer polls of them, not even
+/// those to all. Switched off, they end.
 #[test]
 fn active_replies_take_turns() {
     let mut bench = Bench::default();
@@ -223,6 +223,10 @@ fn active_replies_take_turns() {
     assert!(bench.sent.iter().all(|(_, packet)| packet.channel == Channel::Reply(ID)));
     assert_eq!(bench.send(ReadStatus2), None);
     assert!(bench.send(ReadMultiTurnAngle).is_some(), "others are answered");
+    bench.run(millis(6)); // past the next report
+    let all = Channel::Command(Target::All);
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()), []);
+    assert_eq!(bench.exchange(all, ReadMultiTurnAngle.encode()).len(), 1);
     bench.send(report(Opcode::ReadMultiTurnEncoder, Switch::Off, 0));
     bench.send(report(Opcode::ReadStatus2, Switch::Off, 0));
     bench.sent.clear();
