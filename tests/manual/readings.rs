@@ -1,8 +1,10 @@
 //! 2.6 to 2.16, 2.29, 2.30, 2.33: a reading returns what is measured.
 
 use myactuator_protocol_core::command::*;
-use myactuator_protocol_core::drive::Parameters;
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::drive::{
+    Actuation, Drive, Measurement, Parameters, Plant, RamMemory,
+};
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
@@ -70,6 +72,30 @@ fn status_reports_the_measured_values() {
     assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::RELEASE);
     bench.write(LockBrake);
     assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
+}
+
+/// 2.16.4: 0x9D returns the motor's 50 °C and phase currents of 30.1, -15.2 and -16 A in the bytes of the example.
+#[test]
+fn phase_currents_are_those_of_the_example() {
+    struct Measured(Measurement);
+    impl Plant for Measured {
+        fn advance(&mut self, _: &Actuation, _: Duration) -> Measurement {
+            self.0
+        }
+    }
+    let measured = Measured(Measurement {
+        phase_currents_a: [30.1, -15.2, -16.0],
+        motor_temperature_c: 50.0,
+        mos_temperature_c: 61.0,
+        supply_voltage_v: 48.0,
+        encoder_ok: true,
+        ..Measurement::default()
+    });
+    let now = Instant::ZERO;
+    let mut drive = Drive::new(Parameters::default(), measured, RamMemory::default(), now).unwrap();
+    drive.handle_packet(&ReadStatus3.packet(ID), now);
+    let reply = drive.poll_transmit(now + millis(5)).unwrap();
+    assert_eq!(reply.data, [0x9D, 0x32, 0xC2, 0x0B, 0x10, 0xFA, 0xC0, 0xF9]);
 }
 
 /// 2.29.3: the run time is a u32. So after 2^32 ms, 49.7 days, it begins anew, which is no restart.
