@@ -1,7 +1,7 @@
 //! 2.14.3 and 8: what errors change.
 
 use myactuator_protocol_core::command::*;
-use myactuator_protocol_core::drive::{Drive, IdealPlant, Memory, Parameters, Settings};
+use myactuator_protocol_core::drive::{Drive, IdealPlant, Indicator, Memory, Parameters, Settings};
 use myactuator_protocol_core::opcode::{ReplyRule, Usage};
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{AnyCommand, Opcode};
@@ -32,6 +32,31 @@ fn a_faulted_drive_still_obeys_the_rest() {
         let moves =
             matches!(opcode.usage(), Usage::SetPoint | Usage::Move) || opcode == Opcode::Stop;
         assert_eq!(bench.not_run().is_some(), moves, "{opcode}");
+    }
+}
+
+/// 8.1: the light blinks fast with an error of level one, also if a measured one of level two came before or after it.
+#[test]
+fn the_light_shows_level_one_before_level_two() {
+    for voltage_first in [false, true] {
+        let mut bench = Bench::default();
+        let set_voltage = |bench: &mut Bench, volts| {
+            bench.drive.plant_mut().sensors.supply_voltage_v = volts;
+            bench.run(millis(50));
+        };
+        if voltage_first {
+            set_voltage(&mut bench, 100.0);
+            assert_eq!(bench.state().indicator, Indicator::SlowBlink);
+        }
+        bench.raise(ErrorFlags::STALL);
+        set_voltage(&mut bench, 100.0);
+        assert_eq!(bench.state().errors, ErrorFlags::STALL | ErrorFlags::OVER_VOLTAGE);
+        assert_eq!(bench.state().indicator, Indicator::FastBlink);
+        set_voltage(&mut bench, 48.0);
+        assert_eq!(bench.state().errors, ErrorFlags::STALL);
+        assert_eq!(bench.state().indicator, Indicator::FastBlink);
+        bench.restart();
+        assert_eq!(bench.state().indicator, Indicator::On);
     }
 }
 
