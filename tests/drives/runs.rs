@@ -380,7 +380,10 @@ fn trace<W: Wire>(
     reply_begins_late_ns: u64,
     print: fn(&str, &W::Frame) -> String,
 ) -> String {
-    let bus = W::drives(&Fleet::new(2)).unwrap();
+    // At 0 its angle would be asked for twice: a reply that is the first of a motor, and equals its command, may be the
+    // command, ignored by a drive that has lost its master.
+    let turned = Fleet::new(2).motor(id(2), |motor| motor.start_angle_deg = 45.0);
+    let bus = W::drives(&turned).unwrap();
     let log = bus.world.log();
     exchanges(&mut master(&bus));
     let mut records = log.take();

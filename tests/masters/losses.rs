@@ -4,6 +4,7 @@ use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ReadStatus1;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
@@ -37,6 +38,10 @@ const ROUNDS: u32 = 300;
 fn run<W: Wire>(case: Case) -> Vec<Told> {
     let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
     rig.shows_no_echo();
+    // An acknowledgement that is the first answer of a motor is asked for again.
+    for motor in rig.motors().skip(1).collect::<Vec<_>>() {
+        rig.runner.ask(motor, ReadStatus1).expect("the bus is whole");
+    }
     if !case.cuts {
         rig.strike(FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE });
     }
@@ -106,7 +111,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
     for motor in rig.motors() {
         let (page, told) = (rig.ledger.page(motor), told[motor.index()]);
         let mut health = rig.runner.master().health(motor);
-        health.answered -= u32::from(motor == MotorId::MIN) * Rig::<W>::SHOWN;
+        health.answered -= if motor == MotorId::MIN { Rig::<W>::SHOWN } else { 1 };
         let what = format!("{}: motor {motor} of {case:?}, {told:?}, {health:?}", W::NAME);
         // What really happened: commands on the wire, and replies that reached the master.
         let got_through = page.replied - page.replies_lost;

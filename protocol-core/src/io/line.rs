@@ -2,7 +2,7 @@
 
 use crate::io::echo::EchoFilter;
 use crate::io::pump::Pump;
-use crate::master::{Bus, Config, Event, Master};
+use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::rs485::{Fed, Frame, Receiver};
 
@@ -22,7 +22,7 @@ pub(super) struct Line {
 
 impl Line {
     pub(super) const fn new(config: &Config) -> Self {
-        let echoes = EchoFilter::new(matches!(config.bus, Bus::Rs485 { echo: true, .. }));
+        let echoes = EchoFilter::new(config.echoes());
         Self { receiver: Receiver::new(), echoes, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 

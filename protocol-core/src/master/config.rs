@@ -180,6 +180,11 @@ impl Config {
         matches!(self.bus, Bus::Rs485 { .. })
     }
 
+    /// Whether the adapter hands back what is sent, as far as the caller has said.
+    pub(crate) const fn echoes(&self) -> bool {
+        matches!(self.bus, Bus::Rs485 { echo: true, .. })
+    }
+
     pub(super) fn patience(&self, kind: Kind) -> Patience {
         let reply_timeout = self.reply_timeout;
         match kind.repeat() {

@@ -43,6 +43,8 @@ pub(crate) struct Heard<'a> {
     pub(crate) at: Instant,
     pub(crate) to_all: &'a mut Broadcast,
     pub(crate) lost_master: &'a mut MotorSet,
+    /// Nothing was heard of the motor before.
+    pub(crate) is_first: bool,
 }
 
 impl Heard<'_> {
@@ -69,6 +71,7 @@ impl Heard<'_> {
 
 impl Motor {
     pub(crate) fn take(&mut self, heard: &mut Heard<'_>) -> Meaning {
+        heard.is_first = self.health.last_seen().is_none();
         let &mut Heard { config, packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
@@ -227,16 +230,25 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
+        let is_harmless = asked.kind().repeat() == Repeat::Harmless;
         let is_of_before =
             self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
             // The drive ignores one command, and no more.
-            let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
-            if asked.is_stop() || asked.may_go_again() && is_harmless() {
+            if asked.is_stop() || asked.may_go_again() && is_harmless {
                 self.request = Request::Waiting(asked);
             } else {
                 self.request_has_failed(Failure::NotExecuted, config, now);
             }
+            return Meaning::Nothing;
+        }
+        // The drive's last master may have gone before this one was there to hear of it. Then it has ignored this, too.
+        // Where commands are echoed, equal answers might use up all attempts.
+        let may_be_ignored = is_echo && heard.is_first && !config.echoes() && !asked.ends_motion();
+        if may_be_ignored && is_harmless && asked.may_go_again() {
+            self.answered(None);
+            asked.attempts_left = asked.attempts_left.saturating_add(1);
+            self.request = Request::Waiting(asked);
             return Meaning::Nothing;
         }
         // With more than one attempt under way it is not known which one this answers.

@@ -53,7 +53,7 @@ fn move_of_all_that_has_waited_through_a_suspension_is_not_sent() {
     master.broadcast(step(), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(1)), []);
     assert_eq!(sent(&mut master, AN_HOUR).len(), 1, "the read, once more");
-    reply(&mut master, 1, [0x9C, 0, 0, 0, 0, 0, 0, 0], AN_HOUR);
+    reply(&mut master, 1, [0x9C, 50, 0, 0, 0, 0, 0, 0], AN_HOUR);
     let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
     assert!(events(&mut master, AN_HOUR).contains(&done));
     assert_eq!(sent(&mut master, AN_HOUR + Duration::from_millis(100)), []);

@@ -1,6 +1,8 @@
 //! Drives that have lost their master send the first command back and ignore it.
 
 use super::*;
+use crate::command::CommunicationLossProtection;
+use crate::units::Milliseconds;
 
 #[test]
 fn echo_of_a_drive_that_lost_its_master_is_no_answer() {
@@ -24,6 +26,43 @@ fn echo_of_a_drive_that_lost_its_master_is_no_answer() {
         reply(&mut master, 1, Stop.encode(), ms(7)),
         Some(Event::StopConfirmed { motor: id(1) })
     );
+}
+
+/// Its message (0xF1) comes once a second: a master that has just begun may not have heard it.
+#[test]
+fn first_answer_of_all_that_equals_its_command_is_asked_for_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(1)), None);
+    assert_eq!(sent(&mut master, ms(1))[0].data, ReadMultiTurnAngle.encode());
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+
+    // A shaft at 0 says so twice, and from then on once.
+    let read = ask(&mut master, 2, ReadMultiTurnAngle, ms(3));
+    assert_eq!(reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(4)), None);
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+    let event = reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(5)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    let read = ask(&mut master, 2, ReadMultiTurnAngle, ms(6));
+    let event = reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(7)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    let counts = [1, 2].map(|motor| master.health(id(motor))).map(|it| (it.answered, it.lost));
+    assert_eq!(counts, [(2, 0), (3, 0)]);
+}
+
+/// What may not be sent twice, and what may be sent only once.
+#[test]
+fn first_answer_of_all_is_believed_if_it_cannot_be_asked_for_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let protection = CommunicationLossProtection { timeout: Milliseconds::from_raw(500) };
+    let protects = ask(&mut master, 1, protection, ms(0));
+    let event = reply(&mut master, 1, protection.encode(), ms(1)).unwrap();
+    assert!(protects.outcome(&event).unwrap().is_ok());
+    let read = master.request_with(id(2), ReadMultiTurnAngle, once(5)).unwrap();
+    sent(&mut master, ms(2));
+    let event = reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(3)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
 }
 
 #[test]

@@ -318,8 +318,10 @@ fn stop_lifted_and_called_again_goes_on_unless_a_move_was_between() {
         (Some(brake), Some(brake), false),
     ] {
         let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
         master.stop(id(1), StopKind::Off).unwrap();
-        let now = is_given_up(&mut master, 1, 0);
+        let now = is_given_up(&mut master, 1, 2);
         master.lift_stop();
         if let Some(data) = between {
             let moves = data == brake;
