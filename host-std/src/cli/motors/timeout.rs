@@ -5,7 +5,7 @@ use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::help::SIGNALS;
-use super::session::{OneMotor, say};
+use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, arguments as parse, report};
 
 /// Below this time, a motor may hear nothing from this program for longer.
@@ -18,7 +18,9 @@ const SHORT_MS: u32 = 50;
 ///
 /// A motor that holds its position lets go, too, when it hears nothing for that time; a brake locks then. While this
 /// program moves a motor it sends every 10 to 20 ms, and less often on a busy machine: below 50 ms the protection may
-/// end a movement. Two motors with the same id are refused.
+/// end a movement.
+///
+/// A motor that turns is refused: stop it first. So are two motors with the same id.
 ///
 /// Exit status: 0 acknowledged, 1 not, 2 wrong usage.
 #[derive(Debug, clap::Args)]
@@ -32,11 +34,20 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let (motor, time) = (arguments.motor.id, arguments.time_ms);
     let mut session = arguments.motor.open_to_send(Opcode::CommunicationLossProtection)?;
+    run_on(&mut session, arguments.motor.id, arguments.time_ms)
+}
+
+fn run_on(session: &mut Session, motor: MotorId, time: Milliseconds) -> Outcome {
+    session.standing(motor)?;
     note_short(time);
     session.confirm(motor, &question(motor, time))?;
+    protect(session, motor, time)
+}
+
+fn protect(session: &mut Session, motor: MotorId, time: Milliseconds) -> Outcome {
     session.is_finished_first()?;
+    session.standing(motor)?;
     let told = bring_up::protect(&mut session.master, motor, time)
         .map_err(|error| session.failed(error))?;
     say(&sentence(motor, time, told))
@@ -83,7 +94,29 @@ fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::sim::Fleet;
+
+    use super::super::simulated::{sent, turning};
     use super::*;
+    use crate::cli::Unfinished;
+
+    #[test]
+    fn a_turning_motor_gets_no_protection() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = turning(&fleet);
+        let log = fleet.world.log();
+        // The user is not asked about it. To a motor that begins to turn meanwhile nothing is written, either.
+        for set in [run_on, protect] {
+            let outcome = set(&mut session, MotorId::MIN, Milliseconds::from_raw(500));
+            let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+            assert!(
+                message.starts_with("motor 1 turns at 1")
+                    && message.ends_with("stop it first, and wait until it stands"),
+                "{message}"
+            );
+            assert!(sent(&log).iter().all(|packet| packet.data[0] != 0xB3));
+        }
+    }
 
     #[test]
     fn question_before_a_protection_says_that_it_ends_a_hold() {
