@@ -526,7 +526,7 @@ mod tests {
         assert_eq!(speed.nearest(0.6), Ok(1));
         assert_eq!(
             speed.nearest(0.4).unwrap_err().to_string(),
-            "maximum speed must be 1 to 65535 dps (0: no limit), but 0.4 dps was given"
+            "maximum speed must be 1 to 65535 dps (0: no limit in direct tracking), but 0.4 dps was given"
         );
         assert_eq!(Angle::QUANTITY.nearest(0.004), Ok(0));
     }

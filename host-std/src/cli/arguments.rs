@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(max_speed("0").unwrap().raw(), 0);
         assert_eq!(
             max_speed("0.4").unwrap_err(),
-            "maximum speed must be 1 to 65535 dps (0: no limit), but 0.4 dps was given"
+            "maximum speed must be 1 to 65535 dps (0: no limit in direct tracking), but 0.4 dps was given"
         );
         assert!(max_torque("0.2").is_err());
         assert!(max_torque("-0.2").is_err());

@@ -65,10 +65,9 @@ fn hint(field: &Field) -> String {
             format!("{meaning} One of {}, or another number up to 255.", names.join(", "))
         }
         Form::Switch => format!("{meaning} Either on or off."),
-        Form::Steps(Steps { min, max, zero, .. }) => {
+        Form::Steps(Steps { min, max, .. }) => {
             let (min, max) = (quantity.amount(min), quantity.amount(max));
-            let zero = zero.map_or(String::new(), |zero| format!(", 0 for {zero}"));
-            format!("{meaning} {min} to {max} {}{zero}.", quantity.unit.symbol()).replace(" .", ".")
+            format!("{meaning} {min} to {max} {}.", quantity.unit.symbol()).replace(" .", ".")
         }
         _ if quantity.unit.symbol().is_empty() => (*meaning).to_owned(),
         _ => format!("{meaning} In {}.", quantity.unit.symbol()),
@@ -133,6 +132,21 @@ impl clap::FromArgMatches for FromTable {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// It differs between commands whose fields have the same type, so it is not said of the type.
+    #[test]
+    fn field_whose_0_is_no_amount_says_what_its_0_does() {
+        for opcode in Opcode::ALL {
+            for field in opcode.command_fields() {
+                if let Form::Steps(Steps { zero: Some(zero), .. }) = field.quantity.form {
+                    let (meaning, name) = (field.meaning, opcode.name());
+                    let mut words = meaning.split([' ', ';', ':']);
+                    assert!(words.any(|word| word == "0"), "{name}: {meaning}");
+                    assert!(!hint(field).ends_with(&format!("{zero}.")), "{name}: {}", hint(field));
+                }
+            }
+        }
+    }
 
     #[test]
     fn help_has_no_markup_of_the_documentation() {

@@ -174,10 +174,8 @@ fn fields(opcode: Opcode, channel: Channel) -> Option<Vec<&'static Field>> {
 /// What a field means, and what its command does.
 fn comment(opcode: Opcode, channel: Channel, field: &Field) -> String {
     let mut comment = field.meaning.to_owned();
-    match field.quantity.form {
-        Form::Steps(Steps { zero: Some(zero), .. }) => comment += &format!(" 0: {zero}."),
-        Form::Flags(_) => comment += " One bit for each; several may be set.",
-        _ => {}
+    if let Form::Flags(_) = field.quantity.form {
+        comment += " One bit for each; several may be set.";
     }
     if channel == Channel::BusId && !opcode.command_fields().contains(field) {
         comment += " In replies only.";
@@ -473,6 +471,30 @@ mod tests {
         let starts: Vec<_> =
             reply.iter().map(|line| line.split(['|', ' ']).nth(4).unwrap()).collect();
         assert_eq!(starts, ["0", "15", "31", "35"]);
+    }
+
+    /// By 2.21.1 no limit, but in direct tracking only; 2.22 to 2.24 say nothing of it.
+    #[test]
+    fn comment_says_what_a_0_does_in_that_command() {
+        let file = of_motor(1, Firmware::V4_3);
+        let comment = |id: u16, signal: &str| {
+            let head = format!("CM_ SG_ {id} {signal} ");
+            file.lines().find_map(|line| line.strip_prefix(&head)).unwrap().to_owned()
+        };
+        let unknown = "\"The fastest turning on the way. The manual does not say what 0 does. Go ";
+        for of in ["single_turn", "incremental", "force"] {
+            let said = comment(321, &format!("{of}_position_max_speed_dps"));
+            assert!(said.starts_with(unknown), "{said}");
+        }
+        let said = comment(321, "absolute_position_max_speed_dps");
+        assert!(said.contains("0 sets no limit in direct tracking (acceleration 0)"), "{said}");
+        // 2.29 and 2.31: the same type, in milliseconds.
+        assert!(comment(577, "read_run_time_run_time_ms").starts_with("\"The time. Read how long"));
+        let said = comment(321, "communication_loss_protection_timeout_ms");
+        assert!(
+            said.starts_with("\"The longest silence; 0 switches the protection off. Set"),
+            "{said}"
+        );
     }
 
     #[test]

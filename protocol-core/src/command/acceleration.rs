@@ -40,7 +40,7 @@ command! {
     WriteAcceleration -> Self {
         /// Which acceleration.
         index: AccelerationIndex => 1,
-        /// Its new value.
+        /// Its new value; 0 for no planning.
         acceleration: Acceleration => 4,
     }
 }

@@ -50,7 +50,8 @@ command! {
     /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). It runs only without a fault. With a position
     /// planning acceleration of 0 the drive tracks the angle directly, otherwise along a planned profile.
     AbsolutePosition -> Feedback {
-        /// The fastest turning on the way.
+        /// The fastest turning on the way. 0 sets no limit in direct tracking (acceleration 0); with planning the
+        /// manual does not say what it does.
         max_speed: MaxSpeed => 2,
         /// Where to go.
         angle: Angle => 4,
@@ -72,7 +73,7 @@ command! {
     SingleTurnPosition -> SingleTurnFeedback {
         /// Which way to turn.
         direction: Direction => 1,
-        /// The fastest turning on the way.
+        /// The fastest turning on the way. The manual does not say what 0 does.
         max_speed: MaxSpeed => 2,
         /// Where to go.
         angle: SingleTurnTarget => 4,
@@ -97,7 +98,7 @@ command! {
     /// Go on by an angle from the current position: 0xA8 (2.23). It runs only without a fault. Sent
     /// twice, it moves twice.
     IncrementalPosition -> Feedback {
-        /// The fastest turning on the way.
+        /// The fastest turning on the way. The manual does not say what 0 does.
         max_speed: MaxSpeed => 2,
         /// How far to go; the sign is the direction.
         angle: Angle => 4,
@@ -107,10 +108,10 @@ command! {
 command! {
     /// Go to a multi-turn angle with limited torque: 0xA9 (2.24). It runs only without a fault.
     ForcePosition -> Feedback {
-        /// The largest torque; above the stall current it limits nothing. The manual does not say what 0 does: in
-        /// a speed command it sets no limit, so do not send it.
+        /// The largest torque; above the stall current it limits nothing. Do not send 0: the manual does not say what
+        /// it does here, and in a speed command it sets no limit.
         max_torque: MaxTorque => 1,
-        /// The fastest turning on the way.
+        /// The fastest turning on the way. The manual does not say what 0 does.
         max_speed: MaxSpeed => 2,
         /// Where to go.
         angle: Angle => 4,

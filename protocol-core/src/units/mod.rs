@@ -13,7 +13,7 @@
 //! assert_eq!(Angle::from_raw(36_000).degrees(), 360.0);
 //! assert_eq!(Current::saturating_from_amperes(1e9)?, Current::MAX);
 //! assert!(Current::from_amperes(f32::NAN).is_err());
-//! assert!(MaxSpeed::from_dps(0.4).is_err()); // not 0, which sets no limit
+//! assert!(MaxSpeed::from_dps(0.4).is_err()); // not 0, which may set no limit
 //! assert_eq!(format!("{:.1}", Angle::from_radians(1.0)?), "57.3 deg");
 //! # Ok::<(), myactuator_protocol_core::OutOfRange>(())
 //! ```
@@ -67,7 +67,7 @@ quantity! {
     /// (2.21.1).
     ///
     /// The smallest is 1 dps, and no amount becomes [`NO_LIMIT`](Self::NO_LIMIT).
-    MaxSpeed(u16 put_u16 get_u16) "maximum speed" DegreePerSecond, step 1/1, zero "no limit"
+    MaxSpeed(u16 put_u16 get_u16) "maximum speed" DegreePerSecond, step 1/1, zero "no limit in direct tracking"
     ; floats from_dps saturating_from_dps dps
     ; radians from_radians_per_second radians_per_second by from_dps dps
 }
@@ -82,8 +82,8 @@ quantity! {
 }
 
 impl MaxSpeed {
-    /// No limit in direct tracking, where the position loop's output alone decides (2.21.1). With planning the manual
-    /// does not say what this does.
+    /// No limit in direct tracking, where the position loop's output alone decides (2.21.1). With planning, and in
+    /// 0xA6, 0xA8 and 0xA9, the manual does not say what this does.
     pub const NO_LIMIT: Self = Self(0);
 }
 

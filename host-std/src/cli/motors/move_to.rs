@@ -44,7 +44,7 @@ pub(in crate::cli) struct Arguments {
     /// Go on by the angle from where the shaft is.
     #[arg(long)]
     relative: bool,
-    /// The fastest turning on the way, degrees per second; 0 for the drive's own limit.
+    /// The fastest turning on the way, degrees per second; 0 may set no limit.
     #[arg(long, value_parser = parse::max_speed, allow_hyphen_values = true, default_value = "90")]
     max_speed_dps: MaxSpeed,
     /// The largest torque, % of the rated current, 1 to 255: moves by force-limited position (0xA9).
@@ -73,7 +73,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let target = target(arguments, here)?;
     let max_speed = arguments.max_speed_dps;
     let speed = match max_speed.raw() {
-        0 => "as fast as its own limits allow".to_owned(),
+        0 => "at a speed that may have no limit (0)".to_owned(),
         _ => format!("at up to {max_speed}"),
     };
     let torque = arguments
