@@ -62,11 +62,14 @@ pub enum Reach {
     Connected,
 }
 
-/// What else a command can be used for.
+/// What is special about the use of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Usage {
-    /// For nothing else.
+    /// Nothing.
     Plain,
+    /// It writes parameters. The manual wants that only while the motor stands, and not when it has just started
+    /// (2.2.1, 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1).
+    AtRest,
     /// The drive can send its reply unasked (0xB6, 2.34.2).
     Report,
     /// It moves the motor on: each one counts, so it is no set-point (0xA8).
@@ -80,20 +83,20 @@ macro_rules! opcode_table {
     ($callback:ident) => {
         $callback! {
     // name, byte, name in tools, section, how the drive replies, key byte, a second sending, buses,
-    // which motors it reaches, what else it is used for, which firmware has it
+    // which motors it reaches, what is special about its use, which firmware has it
 
     /// One of seven special functions.
-    FunctionControl = 0x20, "function-control", "2.35", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    FunctionControl = 0x20, "function-control", "2.35", Same, 1, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Read one gain of a control loop.
     ReadPid = 0x30, "read-pid", "2.1", Values, 1, Harmless, Both, OneOrAll, Plain, any;
     /// Write one gain, until power-off or reset.
-    WritePidRam = 0x31, "write-pid-ram", "2.2", Same, 1, Harmless, Both, OneOrAll, Plain, any;
+    WritePidRam = 0x31, "write-pid-ram", "2.2", Same, 1, Harmless, Both, OneOrAll, AtRest, any;
     /// Write one gain for good.
-    WritePidRom = 0x32, "write-pid-rom", "2.3", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    WritePidRom = 0x32, "write-pid-rom", "2.3", Same, 1, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Read one of the four planning accelerations.
     ReadAcceleration = 0x42, "read-acceleration", "2.4", Values, 1, Harmless, Both, OneOrAll, Plain, any;
     /// Write one of the four planning accelerations for good.
-    WriteAcceleration = 0x43, "write-acceleration", "2.5", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    WriteAcceleration = 0x43, "write-acceleration", "2.5", Same, 1, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Read the multi-turn encoder position, less its zero offset.
     ReadMultiTurnEncoder = 0x60, "read-multi-turn-encoder", "2.6", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Read the multi-turn encoder position without its zero offset.
@@ -101,9 +104,9 @@ macro_rules! opcode_table {
     /// Read the zero offset of the multi-turn encoder.
     ReadMultiTurnEncoderOffset = 0x62, "read-multi-turn-encoder-offset", "2.8", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Make a given encoder position the zero, after a restart.
-    SetEncoderZero = 0x63, "set-encoder-zero", "2.9", Same, none, ActsAgain, Both, OneOrAll, Plain, any;
+    SetEncoderZero = 0x63, "set-encoder-zero", "2.9", Same, none, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Make the current position the zero, after a restart.
-    SetCurrentPositionZero = 0x64, "set-current-position-zero", "2.10", Values, none, ActsAgain, Both, OneOrAll, Plain, any;
+    SetCurrentPositionZero = 0x64, "set-current-position-zero", "2.10", Values, none, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Read which control loop runs.
     ReadRunningMode = 0x70, "read-running-mode", "2.25", Values, none, Harmless, Both, OneOrAll, Plain, any;
     /// Restart the drive.
@@ -149,7 +152,7 @@ macro_rules! opcode_table {
     /// Read the date of the drive's software.
     ReadVersionDate = 0xB2, "read-version-date", "2.30", Values, none, Harmless, Both, OneOrAll, Plain, any;
     /// Set after how long without a command the drive stops by itself.
-    CommunicationLossProtection = 0xB3, "communication-loss-protection", "2.31", Acknowledge, none, ActsAgain, Both, OneOrAll, Plain, any;
+    CommunicationLossProtection = 0xB3, "communication-loss-protection", "2.31", Acknowledge, none, ActsAgain, Both, OneOrAll, AtRest, any;
     /// Set the bit rate of the bus.
     SetBaudRate = 0xB4, "set-baud-rate", "2.32", Garbled, none, ActsAgain, Both, OneOrAll, Plain, until_v4_3;
     /// Read the motor's model.
@@ -248,7 +251,7 @@ macro_rules! opcodes {
                 match self { $(Self::$name => Reach::$reach,)+ }
             }
 
-            /// What else it can be used for.
+            /// What is special about its use.
             pub const fn usage(self) -> Usage {
                 match self { $(Self::$name => Usage::$usage,)+ }
             }

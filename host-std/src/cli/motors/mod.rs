@@ -3,6 +3,7 @@
 //! A command that moves a motor or writes its memory goes through [`session`], which asks first. One that moves also
 //! goes through [`moving`], which stops the motor if anything ends the command early.
 
+mod advice;
 mod brake;
 mod change_id;
 mod elsewhere;

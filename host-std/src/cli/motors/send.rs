@@ -3,20 +3,19 @@
 use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
-use myactuator_protocol_core::command::{
-    AnyCommand, BusId, ForcePosition, Phrase, RawCommand, Speed, awaits_reply,
-};
+use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
+use super::advice::risk;
 use super::halt::halt;
 use super::help::{SIGNALS, STOPS, paragraphs};
 use super::moving::{LONGEST_WAIT, named};
 use super::on_bus::OnBus;
 use super::revision::MotorRevision;
-use super::session::{Consent, Session, needs_consent, say, sets_gains};
+use super::session::{Consent, Session, needs_consent, say};
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
@@ -172,31 +171,7 @@ impl Sending {
 
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
-        let then = match (self.kind(), self.command) {
-            (kind, _) if sets_gains(kind) => {
-                "A motor that runs or holds may swing, or let its load go."
-            }
-            (kind, _) if kind.moves() => {
-                "This may set a shaft in motion, which goes on until another command ends it."
-            }
-            (Kind::Raw { .. }, _) => "What it does is not known here: it may write memory.",
-            (_, AnyCommand::BusId(BusId::Write(_))) => "All that are connected take this id.",
-            (Kind::Known(Opcode::ReleaseBrake), _) => "A load can turn the shaft then.",
-            (Kind::Known(Opcode::Reset), _) => "Hold the shaft if a load pulls at it.",
-            _ => "This may write memory.",
-        };
-        let unlimited = match self.command {
-            AnyCommand::Speed(Speed { max_torque, .. }) if max_torque.raw() == 0 => {
-                "0 % means no limit of torque. "
-            }
-            AnyCommand::ForcePosition(ForcePosition { max_torque, .. })
-                if max_torque.raw() == 0 =>
-            {
-                "0 % may mean no limit of torque: the manual does not say. "
-            }
-            _ => "",
-        };
-        format!("{who} {motors} will be sent {}. {unlimited}{then}", self.words())
+        format!("{who} {motors} will be sent {}. {}", self.words(), risk(self.command))
     }
 
     fn to_one(&self, session: &mut Session, motor: MotorId) -> Outcome {
@@ -486,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn question_before_sending_names_the_risk_of_the_command() {
+    fn question_before_sending_names_the_command_and_its_risk() {
         let question = |line: &str| {
             let ranges = Some(MotionRanges::V4_3);
             let command = typed::<Arguments>(line).command.command(ranges.as_ref()).unwrap();
@@ -496,37 +471,13 @@ mod tests {
         };
         assert_eq!(question("read-pid --index 1"), None);
         assert_eq!(question("stop"), None);
-        for (line, message) in [
-            ("torque --current-a 1", "torque (0xA1): current 1 A. This may set a shaft in motion,"),
-            (
-                "motion --position-rad 1 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0",
-                "motion: position 1 rad, ",
-            ),
-            ("raw --moves C0 0 0 0 0 0 0 0", "raw C0 00 00 00 00 00 00 00. This may set a shaft"),
-            ("raw C0 0 0 0 0 0 0 0", "What it does is not known here: it may write memory."),
-            ("bus-id --access write --motor-id 2", "motor id 2. All that are connected take this"),
-            ("set-current-position-zero", "(0x64). This may write memory."),
-            ("write-pid-ram --index speed-kp --value 1", "A motor that runs or holds may swing,"),
-            ("write-pid-rom --index speed-kp --value 1", "A motor that runs or holds may swing,"),
-            (
-                "speed --speed-dps 1 --max-torque-pct 0",
-                "0 % means no limit of torque. This may set a",
-            ),
-            (
-                "force-position --max-torque-pct 0 --max-speed-dps 1 --angle-deg 1",
-                "0 % may mean no limit of torque: the manual does not say. This may set a",
-            ),
-            (
-                "speed --speed-dps 1 --max-torque-pct 1",
-                "speed 1 dps. This may set a shaft in motion,",
-            ),
-        ] {
-            let asked = question(line).unwrap();
-            assert!(
-                asked.starts_with("Motor 1 will be sent ") && asked.contains(message),
-                "{asked}"
-            );
-        }
+        let asked = question("torque --current-a 1").unwrap();
+        let sent =
+            "Motor 1 will be sent torque (0xA1): current 1 A. This may set a shaft in motion,";
+        assert!(asked.starts_with(sent), "{asked}");
+        let motion = "motion --position-rad 1 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
+        let asked = question(motion).unwrap();
+        assert!(asked.starts_with("Motor 1 will be sent motion: position 1 rad, "), "{asked}");
     }
 
     #[test]
