@@ -270,6 +270,18 @@ fn send_notes_which_motors_may_go_on() {
     assert!(!stderr_of_send("--id 1 stop").contains("note"));
 }
 
+/// 2.10.1.
+#[test]
+fn send_notes_what_has_to_follow() {
+    let note =
+        "note: this takes effect after a restart: 'myactuator reset --bus sim:4 --id 1' (0x76)\n";
+    let message = stderr_of_send("--id 1 set-current-position-zero");
+    assert!(message.ends_with(note), "{message}");
+    let message = stderr_of_send("--id all set-current-position-zero");
+    let note = note.replace("reset --bus sim:4 --id 1", "send reset --bus sim:4 --id all");
+    assert!(message.ends_with(&note), "{message}");
+}
+
 #[test]
 fn the_brake_is_released_and_locked() {
     assert_eq!(

@@ -1,12 +1,12 @@
-//! What `myactuator send` says of a command.
+//! What `myactuator send` says of a command: its risk before it is sent, and what has to follow.
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, AnyCommand, BusId, ForcePosition, IncrementalPosition, SingleTurnPosition,
-    Speed,
+    AbsolutePosition, AnyCommand, BusId, ForcePosition, FunctionControl, IncrementalPosition,
+    SingleTurnPosition, Speed, Switch,
 };
 use myactuator_protocol_core::opcode::Usage;
 use myactuator_protocol_core::units::{MaxSpeed, MaxTorque};
-use myactuator_protocol_core::{Kind, Opcode};
+use myactuator_protocol_core::{Kind, Opcode, Target};
 
 use super::session::sets_gains;
 
@@ -73,8 +73,53 @@ fn without_speed_limit(command: AnyCommand) -> &'static str {
     }
 }
 
+/// What has to follow a command before it takes effect or is kept, and what is different from then on; `None` for most
+/// commands. `hint` says how to type a subcommand for these motors.
+pub(super) fn follow_up(
+    command: AnyCommand,
+    target: Target,
+    hint: impl Fn(&str) -> String,
+) -> Option<String> {
+    let command = known(command);
+    let restart = match (command, target) {
+        // `reset` is for one motor, and waits for the id that it had.
+        (AnyCommand::FunctionControl(FunctionControl::SetCanId(_)), _) | (_, Target::All) => {
+            "send reset"
+        }
+        _ => "reset",
+    };
+    let effect = match command {
+        AnyCommand::SetEncoderZero(_)
+        | AnyCommand::SetCurrentPositionZero(_)
+        | AnyCommand::FunctionControl(
+            FunctionControl::ClearMultiTurn
+            | FunctionControl::SaveMultiTurn(_)
+            | FunctionControl::SetCanId(_),
+        ) => Some(format!("this takes effect after a restart: {} (0x76)", hint(restart))),
+        AnyCommand::FunctionControl(FunctionControl::CanIdFilter(Switch::On)) => {
+            Some("a motor whose filter is on does not hear commands to all (0x280)".to_owned())
+        }
+        AnyCommand::SetBaudRate(_) => Some(
+            "this takes effect when the motor is powered on again, and what it answers now may be garbage"
+                .to_owned(),
+        ),
+        _ => None,
+    };
+    let is_kept = match command {
+        AnyCommand::FunctionControl(_)
+        | AnyCommand::WritePidRom(_)
+        | AnyCommand::SetBaudRate(_) => {
+            Some("some drives keep this only if they were shut down (0x80) before".to_owned())
+        }
+        _ => None,
+    };
+    let parts: Vec<String> = effect.into_iter().chain(is_kept).collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
+}
+
 #[cfg(test)]
 mod tests {
+    use myactuator_protocol_core::MotorId;
     use myactuator_protocol_core::command::MotionRanges;
 
     use super::super::simulated::typed;
@@ -154,5 +199,64 @@ mod tests {
         }
         assert!(!risk(command("set-baud-rate --baud-rate 1")).contains(at_rest));
         assert!(!risk(command("torque --current-a 1")).contains(at_rest));
+    }
+
+    /// What follows this command to motor 1, in words.
+    fn after(line: &str) -> String {
+        let hint = |subcommand: &str| format!("'{subcommand}'");
+        follow_up(command(line), MotorId::MIN.into(), hint).unwrap_or_default()
+    }
+
+    #[test]
+    fn zeros_and_some_functions_take_effect_after_a_restart() {
+        let restart = "this takes effect after a restart: 'reset' (0x76)";
+        for line in ["set-encoder-zero --offset-pulses 1", "set-current-position-zero"] {
+            assert_eq!(after(line), restart, "{line}");
+        }
+        for line in ["clear-multi-turn", "save-multi-turn --value on"] {
+            let said = after(&format!("function-control --index {line}"));
+            assert!(said.starts_with(restart), "{line}: {said}");
+        }
+        for line in ["error-reporting --value on", "max-positive-angle --value 7"] {
+            let said = after(&format!("function-control --index {line}"));
+            assert!(!said.contains("restart"), "{line}: {said}");
+        }
+        // `reset` would wait for the old id, and it takes no "all".
+        let by_send = "this takes effect after a restart: 'send reset' (0x76)";
+        assert!(after("function-control --index set-can-id --value 7").starts_with(by_send));
+        let hint = |subcommand: &str| format!("'{subcommand}'");
+        let to_all = follow_up(command("set-current-position-zero"), Target::All, hint);
+        assert_eq!(to_all.as_deref(), Some(by_send));
+    }
+
+    #[test]
+    fn bit_rate_takes_effect_at_the_next_power_on() {
+        let said = after("set-baud-rate --baud-rate 1");
+        assert!(said.starts_with("this takes effect when the motor is powered on again"), "{said}");
+        assert!(said.contains("what it answers now may be garbage"), "{said}");
+    }
+
+    #[test]
+    fn motor_with_its_filter_on_does_not_hear_commands_to_all() {
+        let deaf = "a motor whose filter is on does not hear commands to all (0x280)";
+        assert!(after("function-control --index can-id-filter --value on").starts_with(deaf));
+        assert!(after("raw 20 2 0 0 1 0 0 0").starts_with(deaf));
+        assert!(!after("function-control --index can-id-filter --value off").contains("0x280"));
+    }
+
+    #[test]
+    fn some_drives_keep_writes_only_while_they_are_shut_down() {
+        let keeps = "some drives keep this only if they were shut down (0x80) before";
+        for line in [
+            "function-control --index error-reporting --value on",
+            "function-control --index clear-multi-turn",
+            "write-pid-rom --index speed-kp --value 1",
+            "set-baud-rate --baud-rate 1",
+        ] {
+            assert!(after(line).ends_with(keeps), "{line}: {}", after(line));
+        }
+        for line in ["write-pid-ram --index speed-kp --value 1", "stop", "raw C0 0 0 0 0 0 0 0"] {
+            assert_eq!(after(line), "", "{line}");
+        }
     }
 }

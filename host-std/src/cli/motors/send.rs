@@ -9,7 +9,7 @@ use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKin
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
-use super::advice::risk;
+use super::advice::{follow_up, risk};
 use super::halt::halt;
 use super::help::{SIGNALS, STOPS, paragraphs};
 use super::moving::{LONGEST_WAIT, named};
@@ -30,6 +30,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// If two motors seem to have the id, or no motor answers, a command that writes memory, restarts a motor, lets its
 /// shaft go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for
 /// commands that only read or end motion, for 0xB6, and for all motors.
+///
+/// What has to follow a command before it takes effect, such as a restart, is noted after its reply.
 ///
 /// On RS485 the replies of several motors to a command to all collide, so they are not required.
 ///
@@ -118,7 +120,12 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         Target::All => sending.to_all(session, motors),
     };
     if !kind.moves() {
-        return send(session);
+        send(session)?;
+        let hint = |subcommand: &str| session.hint(subcommand, target);
+        if let Some(note) = follow_up(sending.command, target, hint) {
+            report("note", note);
+        }
+        return Ok(());
     }
     // After a command that moves, the motor is stopped if something fails, or if the program ends before its reply is
     // read.
