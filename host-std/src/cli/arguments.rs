@@ -3,7 +3,7 @@
 use std::str::FromStr;
 
 use myactuator_host_std::BusKind;
-use myactuator_host_std::protocol::command::{Field, MotionLimits, MotionRanges};
+use myactuator_host_std::protocol::command::{BaudCode, Field, MotionLimits, MotionRanges};
 use myactuator_host_std::protocol::opcode::Reach;
 use myactuator_host_std::protocol::quantity::{Form, OutOfRange, Quantity, Steps};
 use myactuator_host_std::protocol::time::Duration;
@@ -165,6 +165,26 @@ pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
         BusKind::Can => Ok(()),
         BusKind::Rs485 => kind.check_on_rs485().map_err(|error| format!("--bus: {error}")),
     }
+}
+
+/// Refuses a code to which the manual gives no bit rate on this bus (2.32.4). A motor that took it would be lost, and
+/// nothing would say so.
+pub(super) fn check_baud_rate(code: BaudCode, bus: BusKind) -> Parsed<()> {
+    let (bus, rate): (_, fn(BaudCode) -> Option<u32>) = match bus {
+        BusKind::Can => ("CAN", BaudCode::can_bits_per_second),
+        BusKind::Rs485 => ("RS485", BaudCode::rs485_bits_per_second),
+    };
+    if rate(code).is_some() {
+        return Ok(());
+    }
+    let named = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
+    let valid = named.into_iter().filter(|code| rate(*code).is_some());
+    let valid: Vec<String> = valid.map(|code| format!("{code} ({})", code.raw())).collect();
+    Err(format!(
+        "--baud-rate: {} is no bit rate of {bus} by the manual: take {}",
+        code.raw(),
+        valid.join(" or ")
+    ))
 }
 
 pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {

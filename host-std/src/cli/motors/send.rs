@@ -3,7 +3,9 @@
 use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
-use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
+use myactuator_protocol_core::command::{
+    AnyCommand, BusId, Phrase, RawCommand, SetBaudRate, awaits_reply,
+};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
@@ -30,6 +32,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 /// If two motors seem to have the id, or no motor answers, a command that writes memory, restarts a motor, lets its
 /// shaft go or is not known here is refused; one that moves is sent to both, with a note. There is no such check for
 /// commands that only read or end motion, for 0xB6, and for all motors.
+///
+/// A bit rate is refused if the manual has no such rate on this bus. As bytes of your own it is sent.
 ///
 /// What has to follow a command before it takes effect, such as a restart, is noted after its reply.
 ///
@@ -60,6 +64,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let target = parse::whom(kind, arguments.id)?;
     let bus = if reads(kind) { arguments.on.to_look()? } else { arguments.on.to_act()? };
     parse::check_bus(kind, bus.kind())?;
+    if let Wanted::Table(table) = &arguments.command
+        && let Ok(AnyCommand::SetBaudRate(SetBaudRate { baud_rate })) = table.command(None)
+    {
+        parse::check_baud_rate(baud_rate, bus.kind())?;
+    }
     if let (Some(opcode), Some(firmware)) =
         (arguments.command.opcode(), arguments.revision.firmware)
     {
