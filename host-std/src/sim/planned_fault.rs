@@ -40,6 +40,7 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 /// | an error's name, such as `stall` | | a drive has this error |
 /// | `clear` | | removes the causes of such errors |
 ///
+/// - Later frames to the receiver of one that `delay` strikes wait for it, so the order stays.
 /// - `@WHERE` is the id of a motor; without it the fault strikes all motors. A fault by chance may have a direction
 ///   instead or as well, `@to-drives`, `@from-drives` or `@2,from-drives`; without it the fault strikes both
 ///   directions.

@@ -49,8 +49,8 @@ pub struct FaultPlan {
     pub undetected: f32,
     /// The frame arrives twice.
     pub duplicate: f32,
-    /// The frame arrives late, as through a slow adapter. The frames after it wait, so that delay alone
-    /// does not change the order.
+    /// The frame arrives late, as through a slow adapter. Later frames to that receiver wait for it, so that
+    /// delay alone does not change the order.
     pub delay: f32,
     /// The shortest delay of a late frame.
     pub delay_min: Duration,
