@@ -104,6 +104,12 @@ impl Kind {
         matches!(self, Self::Known(Opcode::Shutdown | Opcode::Reset))
     }
 
+    /// Whether it only asks for values.
+    pub(crate) fn is_read(self) -> bool {
+        let gives_values = |opcode: Opcode| opcode.reply_rule() == ReplyRule::Values;
+        self.repeat() == Repeat::Harmless && self.opcode().is_some_and(gives_values)
+    }
+
     /// Whether it is a motion mode command, which travels on a channel of its own.
     pub const fn is_motion(self) -> bool {
         matches!(self, Self::Known(Opcode::Motion))

@@ -38,7 +38,7 @@ const ROUNDS: u32 = 300;
 fn run<W: Wire>(case: Case) -> Vec<Told> {
     let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
     rig.shows_no_echo();
-    // An acknowledgement that is the first answer of a motor is asked for again.
+    // A first answer that equals its command is asked for again, and not told.
     for motor in rig.motors().skip(1).collect::<Vec<_>>() {
         rig.runner.ask(motor, ReadStatus1).expect("the bus is whole");
     }

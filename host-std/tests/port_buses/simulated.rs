@@ -13,8 +13,10 @@ fn simulated_buses_answer_in_virtual_time_by_their_configuration() {
     for bus in ["sim:2", "sim:2,rs485"] {
         let address: BusAddress = bus.parse().unwrap();
         let mut arm = AnyMaster::<4>::open_with(&address, address.config()).unwrap();
-        // On RS485 this finds out whether there is an echo.
+        // On RS485 this finds out whether there is an echo. An angle of 0 that is the first reply of its motor is asked for
+        // again.
         arm.ask(motor(1), ReadMultiTurnAngle).unwrap();
+        arm.ask(motor(2), ReadStatus1).unwrap();
         let before = arm.now();
         let reading = arm.ask(motor(2), ReadMultiTurnAngle).unwrap();
         assert_eq!(reading.angle.degrees(), 0.0, "{bus}");

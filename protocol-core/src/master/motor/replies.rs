@@ -230,12 +230,12 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
-        let is_harmless = asked.kind().repeat() == Repeat::Harmless;
         let is_of_before =
             self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
             // The drive ignores one command, and no more.
-            if asked.is_stop() || asked.may_go_again() && is_harmless {
+            let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
+            if asked.is_stop() || asked.may_go_again() && is_harmless() {
                 self.request = Request::Waiting(asked);
             } else {
                 self.request_has_failed(Failure::NotExecuted, config, now);
@@ -244,8 +244,8 @@ impl Motor {
         }
         // The drive's last master may have gone before this one was there to hear of it. Then it has ignored this, too.
         // Where commands are echoed, equal answers might use up all attempts.
-        let may_be_ignored = is_echo && heard.is_first && !config.echoes() && !asked.ends_motion();
-        if may_be_ignored && is_harmless && asked.may_go_again() {
+        let may_be_ignored = is_echo && heard.is_first && !config.echoes();
+        if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
             self.answered(None);
             asked.attempts_left = asked.attempts_left.saturating_add(1);
             self.request = Request::Waiting(asked);
