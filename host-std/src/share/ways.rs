@@ -131,7 +131,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         &self,
         motor: MotorId,
         timeout: Milliseconds,
-    ) -> Result<Protection, CallError<SharedBusError<E>>> {
+    ) -> Result<Protection, BringUpError<SharedBusError<E>>> {
         block_on(async_bring_up::protect(&mut Way::on(self, motor), motor, timeout))
     }
 

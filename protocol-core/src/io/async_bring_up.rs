@@ -86,7 +86,9 @@ pub async fn protect<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
     timeout: Milliseconds,
-) -> Result<Protection, CallError<B::Error>> {
+) -> Result<Protection, BringUpError<B::Error>> {
+    check_not_stopped(bus, motor)?;
+    check_stands(bus, motor).await?;
     let told = bus.ask(motor, CommunicationLossProtection { timeout }).await?.timeout;
     Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
 }

@@ -300,8 +300,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
     block_on(task::check_brake(&mut Polled(runner), motor))
 }
 
-/// Sets after how long without a command a motor stops on its own (0xB3); 0 switches that off. It is kept in ROM.
-/// Not while the motor starts or moves (2.31.1), which is not checked.
+/// Sets after how long without a command a motor stops on its own (0xB3); 0 switches that off. It is kept in ROM. A
+/// motor that turns is refused (2.31.1).
 ///
 /// From then on the motor must be spoken to without longer pauses, even while a stop holds it.
 ///
@@ -321,13 +321,13 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   wait for 100 ms if [`is_shared`] or [`change_id`] has no answer.
 ///
 /// # Errors
-/// [`CallError`]. As it writes to ROM, the command is sent only once. If no reply comes, the time may be set or not: call
-/// this again.
+/// [`BringUpError::Turns`], [`BringUpError::Call`]. As it writes to ROM, the command is sent only once. If no reply
+/// comes, the time may be set or not: call this again.
 pub fn protect<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
     timeout: Milliseconds,
-) -> Result<Protection, CallError<R::Error>> {
+) -> Result<Protection, BringUpError<R::Error>> {
     block_on(task::protect(&mut Polled(runner), motor, timeout))
 }
 

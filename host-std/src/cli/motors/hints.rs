@@ -60,8 +60,8 @@ impl Session {
         }
     }
 
-    /// Why a motor did not come back, with the likely cause.
-    pub(super) fn not_brought_up(&self, error: BringUpError<BusError>) -> Unfinished {
+    /// Why something was not done with a motor, with the likely cause.
+    pub(super) fn not_brought_up(&mut self, error: BringUpError<BusError>) -> Unfinished {
         match error {
             BringUpError::NotThere(_) => Unfinished::Failed(format!(
                 "{error}: check its power, the wiring and what may have changed with the restart, its id \
@@ -69,6 +69,7 @@ impl Session {
                 self.address,
                 self.other_rates()
             )),
+            BringUpError::Call(error) => self.failed(error),
             error => error.into(),
         }
     }

@@ -47,9 +47,8 @@ fn run_on(session: &mut Session, motor: MotorId, time: Milliseconds) -> Outcome 
 
 fn protect(session: &mut Session, motor: MotorId, time: Milliseconds) -> Outcome {
     session.is_finished_first()?;
-    session.standing(motor)?;
-    let told = bring_up::protect(&mut session.master, motor, time)
-        .map_err(|error| session.failed(error))?;
+    let told = bring_up::protect(&mut session.master, motor, time);
+    let told = told.map_err(|error| session.not_brought_up(error))?;
     say(&sentence(motor, time, told))
 }
 
