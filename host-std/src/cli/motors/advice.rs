@@ -1,8 +1,8 @@
 //! What `myactuator send` says of a command: its risk before it is sent, and what has to follow.
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, AnyCommand, BusId, ForcePosition, FunctionControl, IncrementalPosition,
-    SingleTurnPosition, Speed, Switch,
+    AbsolutePosition, ActiveReply, AnyCommand, BusId, ForcePosition, FunctionControl,
+    IncrementalPosition, SingleTurnPosition, Speed, Switch,
 };
 use myactuator_protocol_core::opcode::Usage;
 use myactuator_protocol_core::units::{MaxSpeed, MaxTorque};
@@ -32,6 +32,12 @@ pub(super) fn risk(command: AnyCommand) -> String {
         }
         (Kind::Raw { .. }, _) => "What it does is not known here: it may write memory.",
         (_, AnyCommand::BusId(BusId::Write(_))) => "All that are connected take this id.",
+        (_, AnyCommand::FunctionControl(FunctionControl::SetCanId(_))) => {
+            "Nothing checks whether another motor has this id: 'myactuator id' does."
+        }
+        (_, AnyCommand::CommunicationLossProtection(it)) if it.timeout.raw() > 0 => {
+            "It cuts its output when it hears nothing for that time, also while it holds: a load can fall then."
+        }
         (Kind::Known(Opcode::ReleaseBrake), _) => "A load can turn the shaft then.",
         (Kind::Known(Opcode::Reset), _) => "Hold the shaft if a load pulls at it.",
         _ => "This may write memory.",
@@ -81,26 +87,29 @@ pub(super) fn follow_up(
     hint: impl Fn(&str) -> String,
 ) -> Option<String> {
     let command = known(command);
-    let restart = match (command, target) {
-        // `reset` is for one motor, and waits for the id that it had.
-        (AnyCommand::FunctionControl(FunctionControl::SetCanId(_)), _) | (_, Target::All) => {
-            "send reset"
-        }
-        _ => "reset",
-    };
+    // `reset` is for one motor.
+    let restart = if target == Target::All { "send reset" } else { "reset" };
     let effect = match command {
         AnyCommand::SetEncoderZero(_)
         | AnyCommand::SetCurrentPositionZero(_)
         | AnyCommand::FunctionControl(
-            FunctionControl::ClearMultiTurn
-            | FunctionControl::SaveMultiTurn(_)
-            | FunctionControl::SetCanId(_),
+            FunctionControl::ClearMultiTurn | FunctionControl::SaveMultiTurn(_),
         ) => Some(format!("this takes effect after a restart: {} (0x76)", hint(restart))),
+        // Some answer under the new id from now on, and hear only the old one until then.
+        AnyCommand::FunctionControl(FunctionControl::SetCanId(_)) => Some(
+            "this takes effect when the motor is powered on again; until then it may answer as another than it hears"
+                .to_owned(),
+        ),
+        AnyCommand::ActiveReply(ActiveReply { enable: Switch::On, .. }) => Some(
+            "some drives answer nothing else while they report: 'active-reply' with '--enable off' ends that"
+                .to_owned(),
+        ),
         AnyCommand::FunctionControl(FunctionControl::CanIdFilter(Switch::On)) => {
             Some("a motor whose filter is on does not hear commands to all (0x280)".to_owned())
         }
         AnyCommand::SetBaudRate(_) => Some(
-            "this takes effect when the motor is powered on again, and what it answers now may be garbage"
+            "this takes effect when the motor is powered on again, or restarts: it is on this bus only if the bus has \
+             that bit rate then; what it answers now may be garbage"
                 .to_owned(),
         ),
         _ => None,
@@ -149,6 +158,16 @@ mod tests {
             ("bus-id --access write --motor-id 2", "All that are connected take this id."),
             ("raw 79 0 0 0 0 0 0 2", "All that are connected take this id."),
             ("set-baud-rate --baud-rate 1", "This may write memory."),
+            (
+                "function-control --index set-can-id --value 7",
+                "Nothing checks whether another motor has this id: 'myactuator id' does. The manual wants that only \
+                 while the motor stands.",
+            ),
+            (
+                "communication-loss-protection --timeout-ms 20",
+                "It cuts its output when it hears nothing for that time, also while it holds: a load can fall then. \
+                 The manual wants that only while the motor stands.",
+            ),
         ] {
             assert_eq!(risk(command(line)), message, "{line}");
         }
@@ -185,7 +204,7 @@ mod tests {
             "write-acceleration --index 0 --acceleration-dps2 100",
             "set-encoder-zero --offset-pulses 1",
             "set-current-position-zero",
-            "communication-loss-protection --timeout-ms 100",
+            "communication-loss-protection --timeout-ms 0",
             "function-control --index clear-multi-turn",
         ] {
             let said = risk(command(line));
@@ -221,9 +240,12 @@ mod tests {
             let said = after(&format!("function-control --index {line}"));
             assert!(!said.contains("restart"), "{line}: {said}");
         }
-        // `reset` would wait for the old id, and it takes no "all".
+        let said = after("function-control --index set-can-id --value 7");
+        assert!(
+            said.starts_with("this takes effect when the motor is powered on again;"),
+            "{said}"
+        );
         let by_send = "this takes effect after a restart: 'send reset' (0x76)";
-        assert!(after("function-control --index set-can-id --value 7").starts_with(by_send));
         let hint = |subcommand: &str| format!("'{subcommand}'");
         let to_all = follow_up(command("set-current-position-zero"), Target::All, hint);
         assert_eq!(to_all.as_deref(), Some(by_send));

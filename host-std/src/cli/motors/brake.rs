@@ -87,6 +87,16 @@ pub(super) enum Lock {
     },
 }
 
+/// What has failed after a brake was told to open.
+fn half_open(error: Unfinished) -> Unfinished {
+    match error {
+        Unfinished::Failed(told) => {
+            Unfinished::Failed(format!("{told}; its brake may be open even so"))
+        }
+        other => other,
+    }
+}
+
 impl Session {
     /// Lets the motor hold, releases its brake, and waits until that is open.
     pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome {
@@ -112,27 +122,27 @@ impl Session {
         self.ask(motor, ReadStatus1)?;
         let told = self.master.ask(motor, ReleaseBrake).map(drop).map_err(BringUpError::Call);
         self.unless_half_open(told)?;
-        let moved = self.master.now() + BRAKE_MOVES;
-        // In a silence the protection would lock the brake again.
-        while self.master.now() < moved {
-            self.ask(motor, ReadStatus1)?;
-            self.wait_until(self.master.now() + LONGEST_WAIT)?;
-        }
-        let says = self.ask(motor, ReadStatus1)?.brake;
+        let says = self.brake_has_moved(motor).map_err(half_open)?;
         if says != BrakeCommand::RELEASE {
             warn_of(motor, says);
         }
         Ok(says == BrakeCommand::RELEASE)
     }
 
+    /// Waits until a brake has had the time to move, and returns what its motor reports of it.
+    fn brake_has_moved(&mut self, motor: MotorId) -> Outcome<BrakeCommand> {
+        let moved = self.master.now() + BRAKE_MOVES;
+        // In a silence the protection would lock the brake again.
+        while self.master.now() < moved {
+            self.ask(motor, ReadStatus1)?;
+            self.wait_until(self.master.now() + LONGEST_WAIT)?;
+        }
+        Ok(self.ask(motor, ReadStatus1)?.brake)
+    }
+
     fn unless_half_open(&mut self, outcome: Result<(), BringUpError<BusError>>) -> Outcome {
         outcome.map_err(|error| match error {
-            BringUpError::Call(error) => match self.failed(error) {
-                Unfinished::Failed(told) => {
-                    Unfinished::Failed(format!("{told}; its brake may be open even so"))
-                }
-                other => other,
-            },
+            BringUpError::Call(error) => half_open(self.failed(error)),
             error => error.into(),
         })
     }
@@ -273,5 +283,15 @@ mod tests {
         assert!(BRAKE_MOVES > Duration::from_millis(100));
         assert_eq!(session.let_go(MotorId::MIN), Ok(true));
         assert!(fleet.drives[0].with(|drive| drive.state().brake == BrakeCommand::RELEASE));
+    }
+
+    #[test]
+    fn a_motor_that_falls_silent_after_its_release_may_have_an_open_brake() {
+        let fleet = Fleet::new(1).brakes(true).faults(["cut@1+20ms".parse().unwrap()]);
+        let fleet = fleet.on_can(1_000_000).unwrap();
+        let outcome = Session::on(&fleet).let_go(MotorId::MIN);
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.ends_with("its brake may be open even so"), "{message}");
+        assert_eq!(fleet.drives[0].with(|drive| drive.state().brake), BrakeCommand::RELEASE);
     }
 }

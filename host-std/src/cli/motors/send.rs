@@ -4,7 +4,7 @@ use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::command::{
-    AnyCommand, BusId, Phrase, RawCommand, SetBaudRate, awaits_reply,
+    AnyCommand, AnyReply, BusId, Phrase, RawCommand, SetBaudRate, awaits_reply,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet, StopKind};
@@ -107,7 +107,19 @@ fn reads(kind: Kind) -> bool {
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let kind = arguments.command.kind()?;
     let target = parse::whom(kind, arguments.id)?;
-    let motors = session.meant(target)?;
+    let motors = if target == Target::All && kind.ends_motion() && !needs_consent(kind) {
+        // Before anything is asked: it takes seconds to find all on a line, and those that hear may not be heard.
+        let command = arguments.command.command(None)?;
+        let _nobody = broadcast(session, as_raw(command), MotorSet::EMPTY, |_, _, _| Ok(()))?;
+        session.meant(target).map_err(|error| match error {
+            Unfinished::Failed(why) => {
+                Unfinished::Failed(format!("{command} was sent to all, but {why}"))
+            }
+            other => other,
+        })?
+    } else {
+        session.meant(target)?
+    };
     let mut ranges = arguments.revision.ranges;
     for motor in motors.iter() {
         if let Some(opcode) = arguments.command.opcode() {
@@ -154,6 +166,40 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     Ok(())
 }
 
+/// The command as a request of the master, which knows those of the table by their command byte.
+fn as_raw(command: AnyCommand) -> RawCommand {
+    match command {
+        AnyCommand::Raw(command) => command,
+        known => RawCommand::new(known.encode(), ReplyRule::Values, true),
+    }
+}
+
+/// Sends all motors a command, and hands on what is answered. Returns those of `expected` that did not answer.
+fn broadcast(
+    session: &mut Session,
+    command: RawCommand,
+    expected: MotorSet,
+    mut on_reply: impl FnMut(&Session, MotorId, AnyReply) -> Outcome,
+) -> Outcome<MotorSet> {
+    let sent = session.master.master().broadcast(command, expected);
+    sent.map_err(|refusal| Unfinished::Failed(refusal.to_string()))?;
+    loop {
+        session.check_interrupted()?;
+        match session.master.poll()? {
+            Some(Event::BroadcastReply { motor, reply }) => on_reply(session, motor, reply)?,
+            Some(Event::BroadcastDone { silent, was_sent: true }) => return Ok(silent),
+            Some(Event::BroadcastDone { .. }) => {
+                return Err(Unfinished::Failed(Failure::BusDown.to_string()));
+            }
+            Some(_) => {}
+            None => {
+                let soon = session.master.now() + LONGEST_WAIT;
+                session.master.idle(soon);
+            }
+        }
+    }
+}
+
 /// A command, and how its replies are reported.
 struct Sending {
     command: AnyCommand,
@@ -164,14 +210,6 @@ struct Sending {
 impl Sending {
     fn kind(&self) -> Kind {
         self.command.kind()
-    }
-
-    /// The command as a request of the master, which knows those of the table by their command byte.
-    fn as_raw(&self) -> RawCommand {
-        match self.command {
-            AnyCommand::Raw(command) => command,
-            known => RawCommand::new(known.encode(), ReplyRule::Values, true),
-        }
     }
 
     fn words(&self) -> String {
@@ -194,10 +232,10 @@ impl Sending {
         let master = &mut session.master;
         let reply = match self.command {
             AnyCommand::Motion(motion) => master.ask(motor, motion).map(|reply| reply.encode()),
-            _ => master.ask(motor, self.as_raw()).map(|reply| reply.0),
+            _ => master.ask(motor, as_raw(self.command)).map(|reply| reply.0),
         };
         match reply {
-            Ok(data) if awaits_reply(self.kind(), &self.as_raw().encode()) => {
+            Ok(data) if awaits_reply(self.kind(), &as_raw(self.command).encode()) => {
                 self.print(session, motor, data)
             }
             Ok(_) => self.print_sent(motor.into()),
@@ -238,26 +276,10 @@ impl Sending {
             AnyCommand::BusId(BusId::Write(id)) => id.into(),
             _ => motors,
         };
-        let sent = session.master.master().broadcast(self.as_raw(), expected);
-        sent.map_err(|refusal| Unfinished::Failed(refusal.to_string()))?;
         let at_once = session.address.kind() == BusKind::Rs485 && expected.len() > 1;
-        let silent = loop {
-            session.check_interrupted()?;
-            match session.master.poll()? {
-                Some(Event::BroadcastReply { motor, reply }) => {
-                    self.print(session, motor, reply.encode())?;
-                }
-                Some(Event::BroadcastDone { silent, was_sent: true }) => break silent,
-                Some(Event::BroadcastDone { .. }) => {
-                    return Err(Unfinished::Failed(Failure::BusDown.to_string()));
-                }
-                Some(_) => {}
-                None => {
-                    let soon = session.master.now() + LONGEST_WAIT;
-                    session.master.idle(soon);
-                }
-            }
-        };
+        let print =
+            |session: &Session, motor, reply: AnyReply| self.print(session, motor, reply.encode());
+        let silent = broadcast(session, as_raw(self.command), expected, print)?;
         if expected.is_empty() {
             return self.print_sent(motors);
         }
@@ -378,12 +400,37 @@ mod tests {
     fn command_to_all_on_rs485_succeeds_without_replies() {
         let (fleet, mut session) = on_line(3);
         let log = fleet.world.log();
-        assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
-        let to_all = [0x3E, 0xCD, 8, 0x81];
-        let sent = log.take().into_iter().filter(|record| {
-            matches!(&record.event, trace::Event::Carried { frame, .. } if frame.starts_with(&to_all))
+        assert_eq!(run_on(&mut session, &typed("--id all read-run-time")), Ok(()));
+        let to_all = [0x3E, 0xCD, 8, 0xB1];
+        assert_eq!(carried(&log).iter().filter(|frame| frame.starts_with(&to_all)).count(), 1);
+    }
+
+    fn carried(log: &trace::Log<Vec<u8>>) -> Vec<Vec<u8>> {
+        let frames = log.take().into_iter().filter_map(|record| match record.event {
+            trace::Event::Carried { frame, .. } => Some(frame),
+            _ => None,
         });
-        assert_eq!(sent.count(), 1);
+        frames.collect()
+    }
+
+    /// To find out who is there takes seconds on a line, and may find nobody who hears it.
+    #[test]
+    fn what_ends_motion_of_all_is_sent_before_anything_else() {
+        for (line, byte) in [("stop", 0x81), ("shutdown", 0x80), ("lock-brake", 0x78)] {
+            let (fleet, mut session) = on_line(2);
+            let log = fleet.world.log();
+            assert_eq!(run_on(&mut session, &typed(&format!("--id all {line}"))), Ok(()));
+            assert_eq!(carried(&log)[0][..4], [0x3E, 0xCD, 8, byte]);
+
+            let faults = ["lose=1@from-drives".parse().unwrap()];
+            let fleet = Fleet::new(1).faults(faults);
+            let (message, packets) = failed(&fleet, &format!("--id all {line}"));
+            assert_eq!(
+                (packets[0].channel, packets[0].data[0]),
+                (Channel::Command(Target::All), byte)
+            );
+            assert!(message.starts_with(line) && message.contains("was sent to all"), "{message}");
+        }
     }
 
     #[test]
