@@ -64,6 +64,10 @@ fn go_on<R: Runner<8>>(
 where
     R::Error: 'static,
 {
+    for motor in arm {
+        // With its supply back, a drive takes a second or two to start.
+        bring_up::wait_until_there(bus, motor, Duration::from_millis(3_000))?;
+    }
     // From here on a drive that has restarted is known to have, and not moved.
     for run_time in bus.ask_together(arm.map(|motor| (motor, ReadRunTime))) {
         run_time?;

@@ -89,6 +89,10 @@ pub async fn protect<B: Calls<N>, const N: usize>(
 ) -> Result<Protection, BringUpError<B::Error>> {
     check_not_stopped(bus, motor)?;
     check_stands(bus, motor).await?;
-    let told = bus.ask(motor, CommunicationLossProtection { timeout }).await?.timeout;
+    let told = match bus.ask(motor, CommunicationLossProtection { timeout }).await {
+        Ok(reply) => reply.timeout,
+        Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),
+        Err(why) => return Err(BringUpError::MayBeProtected { motor, why }),
+    };
     Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
 }

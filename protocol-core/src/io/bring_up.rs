@@ -321,8 +321,9 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   wait for 100 ms if [`is_shared`] or [`change_id`] has no answer.
 ///
 /// # Errors
-/// [`BringUpError::Turns`], [`BringUpError::Call`]. As it writes to ROM, the command is sent only once. If no reply
-/// comes, the time may be set or not: call this again.
+/// - [`BringUpError::Turns`], and [`BringUpError::Call`] if the motor was not told the time;
+/// - [`BringUpError::MayBeProtected`] if it was, and has not answered. As it writes to ROM, the command is sent only
+///   once: call this again.
 pub fn protect<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -82,6 +82,16 @@ pub enum BringUpError<E> {
         /// Why the command that writes, or what followed it, has failed.
         why: CallError<E>,
     },
+    /// The drive was told its protection time, and has not confirmed it: it may be the new or the old one.
+    #[error(
+        "motor {motor} may have the new protection time, or still the old one: {why}; set it again"
+    )]
+    MayBeProtected {
+        /// The motor.
+        motor: MotorId,
+        /// Why the command has no answer.
+        why: CallError<E>,
+    },
     /// After the restart the zero is not where it was put.
     #[error(
         "motor {motor} has not kept its zero: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
