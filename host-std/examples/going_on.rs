@@ -11,7 +11,8 @@ use myactuator_host_std::protocol::MotorId;
 use myactuator_host_std::protocol::command::{
     AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunTime, ReadStatus1,
 };
-use myactuator_host_std::protocol::io::{CallError, Guard, Runner, bring_up};
+use myactuator_host_std::protocol::io::bring_up::{self, BringUpError};
+use myactuator_host_std::protocol::io::{Guard, Runner};
 use myactuator_host_std::protocol::master::{MotorSet, StopKind};
 use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed, Milliseconds};
@@ -23,11 +24,7 @@ type Arm = [MotorId; 3];
 /// Waits under the stop until somebody says that the arm may go on. Meanwhile it speaks to all motors, so that their
 /// protection (0xB3) lets none go, and locks the brake of one that reports an error: it confirms the stop, but holds
 /// nothing.
-fn wait_for_person<R: Runner<8>>(
-    bus: &mut R,
-    arm: Arm,
-    mut may_go_on: impl FnMut() -> bool,
-) -> Result<(), CallError<R::Error>>
+fn wait_for_person<R: Runner<8>>(bus: &mut R, arm: Arm, mut may_go_on: impl FnMut() -> bool)
 where
     R::Error: Display,
 {
@@ -38,18 +35,23 @@ where
         {
             // One that does not answer may have no supply.
             let Ok(status) = status else { continue };
-            if !status.errors.is_empty() && !locked.contains(motor) {
-                locked.insert(motor);
-                if let Err(error) = bring_up::lock_brake(bus, motor) {
-                    // The others have to be spoken to all the same.
+            if status.errors.is_empty() || locked.contains(motor) {
+                continue;
+            }
+            match bring_up::lock_brake(bus, motor) {
+                // It is tried again.
+                Err(BringUpError::Call(_)) => {}
+                Ok(()) => locked.insert(motor),
+                Err(error) => {
                     println!("{error}: hold its load by other means");
+                    locked.insert(motor);
                 }
             }
         }
+        // After an error of the bus, too, the motors have to be spoken to.
         let later = bus.now() + Duration::from_millis(20);
-        bus.run_until(later, |_| ())?;
+        let _ = bus.run_until(later, |_| ());
     }
-    Ok(())
 }
 
 /// Makes the arm ready to move again, and returns the angles of its shafts, where the next movement has to begin. All
@@ -151,7 +153,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // A person who needs three seconds.
     let released_at = bus.now() + Duration::from_millis(3_000);
-    wait_for_person(&mut bus, arm, || fleet.world.now() >= released_at)?;
+    wait_for_person(&mut bus, arm, || fleet.world.now() >= released_at);
     let angles = go_on(&mut bus, arm, |_, angle| angle.degrees().abs() < 180.0)?;
     for (motor, angle) in arm.into_iter().zip(angles) {
         println!("motor {motor} goes on at {angle}");

@@ -5,6 +5,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::runner::LONGEST_TURN;
 use crate::master::{Event, Failure, Master, Patience, Ticket};
+use crate::opcode::Repeat;
 use crate::time::Instant;
 
 /// Why a call has no answer.
@@ -111,22 +112,32 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         })
     }
 
-    /// The bus reports an error. What is under way may be answered all the same.
+    /// The bus reports an error. What is under way may be answered all the same. What was not put yet is over, except
+    /// what ends motion.
     pub(super) fn bus_has_failed(&mut self, error: E) {
+        for it in self.open().filter(|it| it.ticket.is_none() && !it.command.kind().ends_motion()) {
+            let failure = Failure::BusDown;
+            it.outcome = Some(Err(CallError::Failed { motor: it.motor, failure }));
+        }
         self.error.get_or_insert(error);
     }
 
-    /// The outcome of each, once none is open. An error of the bus is the outcome of one that has no answer.
+    /// The outcome of each, once none is open. An error of the bus is the outcome of one that was dropped because of
+    /// that, or that has no answer and does no harm if it is put again.
     pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
         let error = &mut self.error;
         self.all.each_mut().map(|it| {
             let bus_is_down = CallError::Failed { motor: it.motor, failure: Failure::BusDown };
             let outcome = it.outcome.take().unwrap_or(Err(bus_is_down));
-            match outcome {
-                Err(CallError::Failed { .. }) => {
-                    error.take().map_or(outcome, |it| Err(CallError::Bus(it)))
-                }
-                outcome => outcome,
+            let is_harmless = || it.command.kind().repeat() == Repeat::Harmless;
+            let is_of_error = match outcome {
+                Err(CallError::Failed { failure: Failure::BusDown, .. }) => true,
+                Err(CallError::Failed { failure: Failure::NoReply, .. }) => is_harmless(),
+                _ => false,
+            };
+            match error.take_if(|_| is_of_error) {
+                Some(error) => Err(CallError::Bus(error)),
+                None => outcome,
             }
         })
     }

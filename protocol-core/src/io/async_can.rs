@@ -134,6 +134,9 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, C::Error> {
         let Self { can, clock, pump, received } = self;
+        if let Some(event) = pump.left_event() {
+            return Ok(Some(event));
+        }
         clock.wait_until(pump.rests_until).await;
         loop {
             let now = clock.now();

@@ -45,12 +45,6 @@ pub trait AsyncRunner<const N: usize> {
     /// error.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
-    /// The next event of the master's own. After an error of the bus it may have some: that a stop is not confirmed,
-    /// for example.
-    fn poll_event(&mut self) -> Option<Event> {
-        self.master().poll_event()
-    }
-
     /// Runs the bus until there is an event.
     ///
     /// # Errors
@@ -71,15 +65,8 @@ pub trait AsyncRunner<const N: usize> {
     ) -> Result<(), CallError<Self::Error>> {
         let is_late = self.now() >= until;
         // A late loop first receives all that has come. What waits is sent after that.
-        loop {
-            match self.run(Some(until)).await {
-                Ok(Some(event)) => on_event(event),
-                Ok(None) => break,
-                Err(error) => {
-                    core::iter::from_fn(|| self.poll_event()).for_each(on_event);
-                    return Err(CallError::Bus(error));
-                }
-            }
+        while let Some(event) = self.run(Some(until)).await.map_err(CallError::Bus)? {
+            on_event(event);
         }
         if is_late {
             // Otherwise a loop that is always late would starve other tasks, such as that of a stop button.
@@ -185,9 +172,9 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
                 true => break,
             };
             let until = bus.now() + look_again;
-            match bus.run(Some(until)).await.unwrap_or_else(|_| bus.poll_event()) {
-                Some(Event::StopConfirmed { motor }) => unconfirmed.remove(motor),
-                Some(Event::StopUnconfirmed { motor }) => given_up.insert(motor),
+            match bus.run(Some(until)).await {
+                Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
+                Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
                 _ => {}
             }
         }
@@ -213,13 +200,10 @@ async fn ask_all<R: AsyncRunner<N> + ?Sized, C: Command, const M: usize, const N
         if !askings.put(runner.master(), now) {
             return askings.outcomes();
         }
-        let event = runner.run(askings.latest_turn()).await.unwrap_or_else(|error| {
-            askings.bus_has_failed(error);
-            runner.poll_event()
-        });
-        match event {
-            Some(event) if !askings.note(&event) => on_event(event),
-            _ => {}
+        match runner.run(askings.latest_turn()).await {
+            Ok(Some(event)) if !askings.note(&event) => on_event(event),
+            Ok(_) => {}
+            Err(error) => askings.bus_has_failed(error),
         }
     }
 }

@@ -140,6 +140,9 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
+        if let Some(event) = self.pump.left_event() {
+            return Ok(Some(event));
+        }
         self.clock.wait_until(self.pump.rests_until).await;
         loop {
             self.settle().await?;

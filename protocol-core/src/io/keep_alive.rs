@@ -211,15 +211,6 @@ impl<R: AsyncRunner<N> + ?Sized, const N: usize> AsyncRunner<N> for KeptAlive<'_
         self.runner.now()
     }
 
-    fn poll_event(&mut self) -> Option<Event> {
-        loop {
-            let event = self.runner.poll_event()?;
-            if !self.takes(&event) {
-                return Some(event);
-            }
-        }
-    }
-
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, R::Error> {
         loop {
             let now = self.now();

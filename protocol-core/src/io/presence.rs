@@ -90,7 +90,7 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
             Ok(event) => event,
             Err(error) => {
                 given_up.get_or_insert(CallError::Bus(error));
-                runner.poll_event()
+                None
             }
         };
         if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {

@@ -40,6 +40,8 @@ pub(super) struct Pump<const N: usize> {
     /// How often the bus is still looked at before the loop sends.
     looks: u8,
     pub(super) refusals: Refusals,
+    /// The last round has failed, and may have left events of the master's own.
+    has_failed: bool,
     /// A task begins no round before this time, shortly after a round has failed, so that other tasks get their turns.
     pub(super) rests_until: Instant,
 }
@@ -47,7 +49,18 @@ pub(super) struct Pump<const N: usize> {
 impl<const N: usize> Pump<N> {
     pub(super) fn new(config: Config) -> Self {
         let (master, refusals) = (Master::new(config), Refusals::default());
-        Self { master, looks: LOOKS_IN_A_ROW, refusals, rests_until: Instant::ZERO }
+        Self {
+            master,
+            looks: LOOKS_IN_A_ROW,
+            refusals,
+            has_failed: false,
+            rests_until: Instant::ZERO,
+        }
+    }
+
+    /// An event that a failed round has left. It goes before the next round, which may fail as well.
+    pub(super) fn left_event(&mut self) -> Option<Event> {
+        if self.has_failed { self.master.poll_event() } else { None }
     }
 
     /// Runs one round. Returns the first event of what was received; the master's own events are not among them.
@@ -63,7 +76,7 @@ impl<const N: usize> Pump<N> {
             Err(error) if P::is_overrun(&error) => return Ok(Some(Event::Overrun)),
             Err(error) => Some(error),
         };
-        self.looks = LOOKS_IN_A_ROW;
+        (self.looks, self.has_failed) = (LOOKS_IN_A_ROW, failed.is_some());
         self.master.handle_timeout(now);
         if failed.is_some() {
             self.rests_until = now + RETRY_AFTER;
@@ -79,6 +92,7 @@ impl<const N: usize> Pump<N> {
 
     /// The port reports an error in sending.
     pub(super) fn round_has_failed(&mut self, now: Instant) {
+        self.has_failed = true;
         self.rests_until = now + RETRY_AFTER;
         self.bus_is_down(now);
     }

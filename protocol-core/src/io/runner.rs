@@ -45,7 +45,6 @@ pub trait Runner<const N: usize> {
     ///
     /// # Errors
     /// What the bus driver reports; see [there](crate::io#what-a-driver-reports). The master stays sound: call again.
-    /// [`Master::poll_event`] has the events that the error has kept back.
     fn poll(&mut self) -> Result<Option<Event>, Self::Error>;
 
     /// Lets the clock idle until `until`, the master's next deadline or a frame, whichever comes first, as well as the
@@ -71,8 +70,9 @@ pub trait Runner<const N: usize> {
     /// request to the motor is under way, this first waits for its end. `on_event` gets all other events.
     ///
     /// # Errors
-    /// [`CallError`]. An error of the bus is returned if no answer comes, or if the command was dropped because of it.
-    /// A request that gets no turn within 2 s returns [`Busy`](crate::error::RequestError::Busy), for example because a
+    /// [`CallError`]. An error of the bus is returned if the command was dropped because of it. It is also returned if
+    /// no answer comes, unless a second sending would act again: whether the first was sent has to be known then. A
+    /// request that gets no turn within 2 s returns [`Busy`](crate::error::RequestError::Busy), for example because a
     /// stop waits for a bus that is down.
     fn ask_with<C: Command>(
         &mut self,
@@ -112,7 +112,7 @@ pub trait Runner<const N: usize> {
     /// # let _ = degrees; Ok(()) }
     /// ```
     ///
-    /// An error of the bus is the outcome of one question that has no answer.
+    /// An error of the bus is the outcome of one question, as of [`ask_with`](Self::ask_with).
     fn ask_together<C: Command, const M: usize>(
         &mut self,
         questions: [(MotorId, C); M],

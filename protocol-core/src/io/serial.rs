@@ -53,6 +53,9 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
 
     fn poll(&mut self) -> Result<Option<Event>, S::Error> {
         let Self { serial, clock, pump, line } = self;
+        if let Some(event) = pump.left_event() {
+            return Ok(Some(event));
+        }
         let now = clock.now();
         let event = pump.round(&mut SerialPort { serial, clock, line }, now)?;
         Ok(event.or_else(|| pump.master.poll_event()))

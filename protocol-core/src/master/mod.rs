@@ -173,6 +173,8 @@ use transmit::{ForAll, Offer};
 
 /// A master at which nobody has looked for this much longer than its configuration makes anything wait was held up.
 const HELD_UP: Duration = Duration::from_millis(1_000);
+/// For how long a controller that reports an error at each look may keep what it has received.
+const LONGEST_KEPT: Duration = Duration::from_millis(200);
 /// The latest point in time.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
 
@@ -392,7 +394,11 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() {
             self.broadcast.cancel_what_moves();
         }
-        self.change_all(|motor, config| motor.bus_may_be_down(now, config));
+        // If nothing is received at all, answers may come when it is again. But not for ever: other errors than these
+        // keep nothing back, and a motor that does not answer has to be asked again.
+        let silence = now - self.heard_at;
+        let may_be_kept = self.config.reply_timeout <= silence && silence < LONGEST_KEPT;
+        self.change_all(|motor, config| motor.bus_may_be_down(may_be_kept, now, config));
     }
 
     /// Returns the next event, apart from those that [`handle_frame`](Self::handle_frame) and

@@ -6,19 +6,20 @@ use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use std::collections::VecDeque;
 use std::rc::Rc;
+use std::vec;
 use std::vec::Vec;
 
 use embedded_can::{ErrorKind, nb};
 
 use super::world::{TestClock, TestSerial, awaited, block_on, on_rs485, pending, polls};
 use super::{id, step, torque};
-use crate::command::{ReadMultiTurnAngle, Stop};
+use crate::command::{ReadMultiTurnAngle, Shutdown, Stop};
 use crate::id::Target;
 use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Runner, SerialMaster,
     bring_up,
 };
-use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::master::{Config, Event, Failure, MotorSet, Patience, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -48,14 +49,16 @@ struct State {
     taken: usize,
     /// It takes so many frames, and then none until that time.
     refuses: Option<(usize, u64)>,
-    /// What the next look for a frame gives.
-    receive_error: Option<ErrorKind>,
+    /// The errors that the next looks for a frame give; with `None` they look.
+    errors: VecDeque<Option<ErrorKind>>,
     /// What each look for a frame gives that finds none.
     complains_of: Option<ErrorKind>,
+    /// Each look for a frame gives an error, and leaves what has come.
+    fails_to_receive: bool,
     /// Every call gives an error.
     is_broken: bool,
-    /// No drive answers.
-    is_deaf: bool,
+    /// These do not answer.
+    deaf: MotorSet,
     /// Kinds that two motors of the id answer differently.
     twins_differ_in: Vec<u8>,
     /// How often it was looked at since somebody counted.
@@ -90,12 +93,12 @@ impl nb::Can for Odd {
             return Err(::nb::Error::WouldBlock);
         }
         state.taken += 1;
-        if state.is_deaf {
-            return Ok(None);
-        }
         if let Received::Packet(Packet { channel: Channel::Command(Target::Motor(motor)), data }) =
             can::decode(frame)
         {
+            if state.deaf.contains(motor) {
+                return Ok(None);
+            }
             let mut at = now + RESPONSE;
             let twins = if state.twins_differ_in.contains(&data[0]) { 2 } else { 1 };
             for twin in 0..twins {
@@ -120,7 +123,10 @@ impl nb::Can for Odd {
                 state.lost += 1;
             }
         }
-        if let Some(kind) = state.receive_error.take() {
+        if state.fails_to_receive {
+            return Err(::nb::Error::Other(Reported(ErrorKind::Other)));
+        }
+        if let Some(kind) = state.errors.pop_front().flatten() {
             return Err(::nb::Error::Other(Reported(kind)));
         }
         let nothing = match state.complains_of {
@@ -156,7 +162,7 @@ macro_rules! waiting {
         let _ticket = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
         arm.set_point(id(2), torque()).unwrap();
         state.borrow_mut().refuses = Some((0, 5_000));
-        state.borrow_mut().receive_error = Some($kind);
+        state.borrow_mut().errors.push_back(Some($kind));
         let end = arm.now() + Duration::from_millis(15);
         let outcome = arm.run_until(end, |event| events.push(event)) $($wait)*;
         arm.run_until(end, |event| events.push(event)) $($wait)* .unwrap();
@@ -245,12 +251,187 @@ fn a_line_that_complains_at_each_look_is_spoken_through() {
     assert!(port.commands().contains(&Stop.encode()));
 }
 
+/// A driver may have a queue of them.
+#[test]
+fn disturbed_frames_are_passed_over_until_there_are_too_many() {
+    let crc = Some(ErrorKind::Crc);
+    let too_many = Err(CallError::Bus(Reported(ErrorKind::Crc)));
+    for (errors, expected) in [(vec![crc; 8], Ok(())), (vec![crc; 9], too_many)] {
+        let ((state, clock), mut arm) = polling();
+        let _read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+        arm.poll().unwrap();
+        clock.advance(RESPONSE);
+        state.borrow_mut().errors.extend(&errors);
+        let soon = arm.now() + Duration::from_millis(5);
+        assert_eq!(arm.run_until(soon, |_| {}), expected, "{errors:?}");
+    }
+}
+
+/// Its motor is busy. Whoever gets the error may think that nothing was sent.
+#[test]
+fn a_move_that_waits_for_its_turn_is_dropped_by_an_error() {
+    let ((state, _), mut arm) = polling();
+    let _read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    arm.poll().unwrap();
+    state.borrow_mut().errors.push_back(Some(ErrorKind::Other));
+    let reported = Err(CallError::Bus(Reported(ErrorKind::Other)));
+    assert_eq!(arm.ask(id(1), step()), reported);
+    arm.run_until(arm.now() + Duration::from_millis(5), |_| {}).unwrap();
+    assert_eq!(state.borrow().taken, 1);
+
+    // What ends motion goes on waiting.
+    let _read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    arm.poll().unwrap();
+    state.borrow_mut().errors.push_back(Some(ErrorKind::Other));
+    assert!(arm.ask(id(1), Shutdown).is_ok());
+}
+
+#[test]
+fn a_question_under_a_stop_that_cannot_be_sent_returns_the_error_at_once() {
+    let ((state, clock), mut arm) = polling();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    state.borrow_mut().is_broken = true;
+    arm.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let before = clock.micros();
+    let outcome = arm.ask(id(1), ReadMultiTurnAngle);
+    assert_eq!(outcome, Err(CallError::Bus(Reported(ErrorKind::Other))));
+    assert!(clock.micros() - before < 10_000, "{}", clock.micros() - before);
+}
+
+/// Whether a move was sent decides what its caller may do.
+#[test]
+fn an_error_hides_no_move_that_was_sent_and_not_answered() {
+    let ((state, _), mut arm) = polling();
+    state.borrow_mut().deaf = MotorSet::ALL;
+    // Sent at the first look, and the error comes at the next.
+    state.borrow_mut().errors.extend([None, Some(ErrorKind::Other)]);
+    let failure = Failure::NoReply;
+    assert_eq!(arm.ask(id(1), step()), Err(CallError::Failed { motor: id(1), failure }));
+    assert_eq!(state.borrow().taken, 1);
+}
+
+#[test]
+fn a_move_of_all_that_waits_is_dropped_by_an_error() {
+    let ((state, _), mut arm) = polling();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    arm.master().broadcast(step(), MotorSet::EMPTY).unwrap();
+    state.borrow_mut().errors.push_back(Some(ErrorKind::Other));
+    let mut events = Vec::new();
+    let end = arm.now() + Duration::from_millis(5);
+    assert!(arm.run_until(end, |event| events.push(event)).is_err());
+    arm.run_until(end, |event| events.push(event)).unwrap();
+    let dropped = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
+    assert_eq!((events, state.borrow().taken), (vec![dropped], 1));
+}
+
+/// A loop that polls and goes on after errors gets the events of its master, too.
+#[test]
+fn errors_at_each_look_keep_no_event_back() {
+    for is_task in [false, true] {
+        let mut events = Vec::new();
+        if is_task {
+            let ((state, _), mut arm) = tasks();
+            state.borrow_mut().complains_of = Some(ErrorKind::Other);
+            arm.master().stop(id(9), StopKind::Hold).unwrap();
+            state.borrow_mut().deaf = MotorSet::ALL;
+            let end = Instant::from_millis(500);
+            block_on(async {
+                while arm.now() < end {
+                    events.extend(arm.run(Some(end)).await.ok().flatten());
+                }
+            });
+        } else {
+            let ((state, clock), mut arm) = polling();
+            state.borrow_mut().complains_of = Some(ErrorKind::Other);
+            arm.master().stop(id(9), StopKind::Hold).unwrap();
+            state.borrow_mut().deaf = MotorSet::ALL;
+            while clock.micros() < 500_000 {
+                events.extend(arm.poll().ok().flatten());
+                clock.advance(100);
+            }
+        }
+        assert_eq!(events, [Event::StopUnconfirmed { motor: id(9) }], "{is_task}");
+    }
+}
+
+/// Its driver fails, and keeps what has come.
+#[test]
+fn an_answer_kept_back_while_receiving_failed_is_not_taken_for_a_newer_one() {
+    let ((state, clock), mut arm) = polling();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let fails_until = |until: u64, arm: &mut CanMaster<Odd, TestClock, 16>| {
+        state.borrow_mut().fails_to_receive = true;
+        let end = Instant::from_micros(until);
+        while arm.now() < end {
+            let _ = arm.run_until(end, |_| {});
+        }
+        state.borrow_mut().fails_to_receive = false;
+    };
+    let _early = arm
+        .master()
+        .request_with(
+            id(1),
+            ReadMultiTurnAngle,
+            Patience { attempts: 1, reply_timeout: Duration::from_millis(20) },
+        )
+        .unwrap();
+    fails_until(150_000, &mut arm);
+    let late = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    fails_until(155_000, &mut arm);
+    let mut answered_at = None;
+    let end = Instant::from_millis(300);
+    arm.run_until(end, |event| {
+        if late.outcome(&event).is_some_and(|outcome| outcome.is_ok()) {
+            answered_at = Some(clock.micros());
+        }
+    })
+    .unwrap();
+    // Not by what has waited until 155 ms.
+    assert_eq!(answered_at, Some(155_000 + RESPONSE));
+}
+
+/// A motor that answered nothing for long is asked again.
+#[test]
+fn a_controller_that_complains_does_not_keep_a_silent_motor_from_being_asked() {
+    let ((state, _), mut arm) = polling();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    (state.borrow_mut().complains_of, state.borrow_mut().deaf) =
+        (Some(ErrorKind::Other), MotorSet::ALL);
+    while arm.now() < Instant::from_millis(1_000) {
+        assert!(arm.ask(id(1), ReadMultiTurnAngle).is_err());
+    }
+    state.borrow_mut().deaf = MotorSet::EMPTY;
+    assert!(arm.ask(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+/// Others are heard, so nothing is kept back.
+#[test]
+fn a_lost_answer_keeps_its_motor_from_being_asked_no_longer_because_of_complaints() {
+    let ((state, clock), mut arm) = polling();
+    for motor in [1, 2] {
+        arm.ask(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    state.borrow_mut().complains_of = Some(ErrorKind::Other);
+    state.borrow_mut().deaf = id(1).into();
+    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(20) };
+    assert!(arm.ask_with(id(1), ReadMultiTurnAngle, Some(once), |_| {}).is_err());
+    state.borrow_mut().deaf = MotorSet::EMPTY;
+    let asked_at = clock.micros();
+    let again = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    let mut is_answered = false;
+    while !is_answered {
+        let note = |event| is_answered |= again.outcome(&event).is_some();
+        arm.ask_with(id(2), ReadMultiTurnAngle, None, note).unwrap();
+        assert!(clock.micros() < asked_at + 50_000);
+    }
+}
+
 #[test]
 fn an_error_of_the_bus_is_the_outcome_of_a_question_without_answer() {
     let ((state, _), mut arm) = polling();
     state.borrow_mut().complains_of = Some(ErrorKind::Other);
     // It does not answer.
-    state.borrow_mut().is_deaf = true;
+    state.borrow_mut().deaf = MotorSet::ALL;
     let outcome = arm.ask(id(1), ReadMultiTurnAngle);
     assert_eq!(outcome, Err(CallError::Bus(Reported(ErrorKind::Other))));
     // A move is not sent at all.
@@ -303,6 +484,9 @@ fn a_can_bus_that_fails_for_good_leaves_other_tasks_their_turns() {
     block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
     looked.0.borrow_mut().is_broken = true;
     let questions = [1, 2, 3].map(|motor| (id(motor), ReadMultiTurnAngle));
+    let (outcomes, _) = patiently(&looked, arm.ask_together(questions));
+    assert!(outcomes.iter().all(Result::is_err), "{outcomes:?}");
+    // Whoever asks again and again leaves turns.
     let (outcomes, took_us) = patiently(&looked, arm.ask_together(questions));
     assert!(outcomes.iter().all(Result::is_err), "{outcomes:?}");
     assert!((100..60_000_000).contains(&took_us), "with a turn for the others: {took_us}");

@@ -422,8 +422,12 @@ impl Motor {
         self.drop_waiting(|asked| !asked.is_stop(), config, now);
     }
 
-    /// The bus may be down: what waits is dropped if a stop would refuse it.
-    pub(super) fn bus_may_be_down(&mut self, now: Instant, config: &Config) {
+    /// The bus may be down: what waits is dropped if a stop would refuse it. Late replies come later if what has arrived
+    /// may be kept back.
+    pub(super) fn bus_may_be_down(&mut self, may_be_kept: bool, now: Instant, config: &Config) {
+        if may_be_kept {
+            self.late.extend(now, config);
+        }
         self.drop_waiting(|asked| asked.kind().is_refused_while_stopped(), config, now);
     }
 

@@ -51,6 +51,32 @@ fn first_answer_of_all_that_equals_its_command_is_asked_for_again() {
     assert_eq!(counts, [(2, 0), (3, 0)]);
 }
 
+/// That is no attempt that has failed.
+#[test]
+fn first_answer_of_all_costs_no_attempt() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let twice = Patience { attempts: 2, reply_timeout: Duration::from_millis(5) };
+    let read = master.request_with(id(1), ReadMultiTurnAngle, twice).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(1)), None);
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    // The second is lost.
+    assert_eq!(sent(&mut master, ms(6)).len(), 1, "the second attempt");
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(7)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+}
+
+/// It may be the answer, taken for the echo that was lost.
+#[test]
+fn first_answer_of_all_is_believed_where_commands_are_echoed() {
+    let mut master = Master::<2>::new(Config::rs485(115_200, true));
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let packet = Packet { channel: Channel::Reply(id(1)), data: ReadMultiTurnAngle.encode() };
+    let frame = Frame::from_packet(&packet).unwrap();
+    let event = master.handle_line(&frame, ms(4)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+}
+
 /// What may not be sent twice, and what may be sent only once.
 #[test]
 fn first_answer_of_all_is_believed_if_it_cannot_be_asked_for_again() {
