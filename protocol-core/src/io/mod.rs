@@ -23,11 +23,12 @@
 //! |---|---|
 //! | it has no room for a frame | `WouldBlock`; a task's `transmit` is pending |
 //! | a received CAN frame found no room | an error of kind `Overrun`, which is an [`Event::Overrun`] |
-//! | a CAN frame was disturbed | nothing, or one error of kind `Bit`, `Stuff`, `Crc`, `Form` or `Acknowledge` |
+//! | a CAN frame was disturbed | nothing, or an error of kind `Bit`, `Stuff`, `Crc`, `Form` or `Acknowledge` |
 //! | bytes on RS485 were disturbed or found no room | nothing: the checksum shows it |
 //! | bus-off, or the driver has failed | any other error |
 //!
-//! A disturbed frame on CAN is sent again by whoever has sent it.
+//! A disturbed frame on CAN is sent again by whoever has sent it. So up to eight such errors in a round are passed
+//! over; one more is any other error.
 //!
 //! Any other error ends the call, except for a stop, and for a question that is answered all the same. So it ends a
 //! control loop that hands errors on. What waits and may move a motor is dropped. If only receiving fails, questions
