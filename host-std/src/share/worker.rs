@@ -296,8 +296,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             asked.answer
         });
         desk.fail(&error, answers);
-        // A bus that goes on failing has no other round for its events.
-        if let Some(event) = self.runner.master().poll_event() {
+        // An event of the next round would look as if the bus worked.
+        while let Some(event) = self.runner.master().poll_event() {
             self.tell(&event, desk);
         }
         desk.wait_for_callers(RETRY_AFTER);

@@ -42,6 +42,8 @@ pub(super) struct Pump<const N: usize> {
     pub(super) refusals: Refusals,
     /// The last round has failed, and may have left events of the master's own.
     has_failed: bool,
+    /// Since when each look at the bus ends with an error.
+    fails_to_receive_since: Option<Instant>,
     /// A task begins no round before this time, shortly after a round has failed, so that other tasks get their turns.
     pub(super) rests_until: Instant,
 }
@@ -54,6 +56,7 @@ impl<const N: usize> Pump<N> {
             looks: LOOKS_IN_A_ROW,
             refusals,
             has_failed: false,
+            fails_to_receive_since: None,
             rests_until: Instant::ZERO,
         }
     }
@@ -80,7 +83,10 @@ impl<const N: usize> Pump<N> {
         self.master.handle_timeout(now);
         if failed.is_some() {
             self.rests_until = now + RETRY_AFTER;
-            self.master.bus_may_be_down(now);
+            let since = *self.fails_to_receive_since.get_or_insert(now);
+            self.master.bus_may_be_down(since, now);
+        } else {
+            self.fails_to_receive_since = None;
         }
         // Some controllers report a bad state at each look, though they send, and until they have sent enough.
         let sent = port.transmit(self, now);

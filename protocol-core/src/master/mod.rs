@@ -386,18 +386,18 @@ impl<const N: usize> Master<N> {
         self.change_all(|motor, config| motor.bus_is_down(now, config));
     }
 
-    /// The bus may be down, since receiving has failed: what may move a motor is not sent. Questions are, because the
+    /// The bus may be down: receiving fails, since then without a pause. What may move a motor is not sent. Questions are, because the
     /// answers show that the bus is intact, and because motors that hold have to be spoken to.
-    pub(crate) fn bus_may_be_down(&mut self, now: Instant) {
+    pub(crate) fn bus_may_be_down(&mut self, since: Instant, now: Instant) {
         self.now = now;
         self.offer = None;
         if self.broadcast.is_waiting() {
             self.broadcast.cancel_what_moves();
         }
-        // If nothing is received at all, answers may come when it is again. But not for ever: other errors than these
-        // keep nothing back, and a motor that does not answer has to be asked again.
-        let silence = now - self.heard_at;
-        let may_be_kept = self.config.reply_timeout <= silence && silence < LONGEST_KEPT;
+        // Answers may be kept back until receiving works again. But not for ever: a driver that only complains keeps
+        // nothing back, and a motor that has not answered must be asked again.
+        let lasts = now - since;
+        let may_be_kept = self.config.reply_timeout <= lasts && lasts < LONGEST_KEPT;
         self.change_all(|motor, config| motor.bus_may_be_down(may_be_kept, now, config));
     }
 

@@ -301,13 +301,18 @@ fn a_question_under_a_stop_that_cannot_be_sent_returns_the_error_at_once() {
 /// Whether a move was sent decides what its caller may do.
 #[test]
 fn an_error_hides_no_move_that_was_sent_and_not_answered() {
-    let ((state, _), mut arm) = polling();
-    state.borrow_mut().deaf = MotorSet::ALL;
-    // Sent at the first look, and the error comes at the next.
-    state.borrow_mut().errors.extend([None, Some(ErrorKind::Other)]);
-    let failure = Failure::NoReply;
-    assert_eq!(arm.ask(id(1), step()), Err(CallError::Failed { motor: id(1), failure }));
-    assert_eq!(state.borrow().taken, 1);
+    let often = Patience { attempts: 3, reply_timeout: Duration::from_millis(20) };
+    for patience in [None, Some(often)] {
+        let ((state, _), mut arm) = polling();
+        state.borrow_mut().deaf = MotorSet::ALL;
+        // Sent at the first look, and the errors come at the next.
+        state.borrow_mut().errors.push_back(None);
+        state.borrow_mut().errors.extend([Some(ErrorKind::Other); 10_000]);
+        let failure = Failure::NoReply;
+        let outcome = arm.ask_with(id(1), step(), patience, |_| {});
+        assert_eq!(outcome, Err(CallError::Failed { motor: id(1), failure }), "{patience:?}");
+        assert_eq!(state.borrow().taken, 1);
+    }
 }
 
 #[test]
@@ -357,8 +362,21 @@ fn errors_at_each_look_keep_no_event_back() {
 /// Its driver fails, and keeps what has come.
 #[test]
 fn an_answer_kept_back_while_receiving_failed_is_not_taken_for_a_newer_one() {
+    for idle in [0, 1_000_000] {
+        an_answer_kept_back_is_not_taken_for_a_newer_one(idle);
+    }
+}
+
+/// Nothing is said for this many microseconds before.
+fn an_answer_kept_back_is_not_taken_for_a_newer_one(idle: u64) {
     let ((state, clock), mut arm) = polling();
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    // An error that is over says nothing of the next.
+    state.borrow_mut().errors.push_back(Some(ErrorKind::Other));
+    arm.poll().unwrap_err();
+    arm.poll().unwrap();
+    clock.advance(idle);
+    arm.poll().unwrap();
     let fails_until = |until: u64, arm: &mut CanMaster<Odd, TestClock, 16>| {
         state.borrow_mut().fails_to_receive = true;
         let end = Instant::from_micros(until);
@@ -375,11 +393,11 @@ fn an_answer_kept_back_while_receiving_failed_is_not_taken_for_a_newer_one() {
             Patience { attempts: 1, reply_timeout: Duration::from_millis(20) },
         )
         .unwrap();
-    fails_until(150_000, &mut arm);
+    fails_until(idle + 150_000, &mut arm);
     let late = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
-    fails_until(155_000, &mut arm);
+    fails_until(idle + 155_000, &mut arm);
     let mut answered_at = None;
-    let end = Instant::from_millis(300);
+    let end = Instant::from_micros(idle + 300_000);
     arm.run_until(end, |event| {
         if late.outcome(&event).is_some_and(|outcome| outcome.is_ok()) {
             answered_at = Some(clock.micros());
@@ -387,7 +405,7 @@ fn an_answer_kept_back_while_receiving_failed_is_not_taken_for_a_newer_one() {
     })
     .unwrap();
     // Not by what has waited until 155 ms.
-    assert_eq!(answered_at, Some(155_000 + RESPONSE));
+    assert_eq!(answered_at, Some(idle + 155_000 + RESPONSE));
 }
 
 /// A motor that answered nothing for long is asked again.
@@ -406,12 +424,24 @@ fn a_controller_that_complains_does_not_keep_a_silent_motor_from_being_asked() {
 
 /// Others are heard, so nothing is kept back.
 #[test]
-fn a_lost_answer_keeps_its_motor_from_being_asked_no_longer_because_of_complaints() {
+fn a_lost_answer_keeps_its_motor_from_being_asked_for_a_while_only() {
+    for pause in [0, 50_000, 150_000] {
+        a_lost_answer_is_asked_for_again(pause, true);
+    }
+    a_lost_answer_is_asked_for_again(0, false);
+}
+
+/// Another motor is heard at intervals of this many microseconds. Each look gives an error, or each second.
+fn a_lost_answer_is_asked_for_again(pause: u64, each: bool) {
     let ((state, clock), mut arm) = polling();
     for motor in [1, 2] {
         arm.ask(id(motor), ReadMultiTurnAngle).unwrap();
     }
-    state.borrow_mut().complains_of = Some(ErrorKind::Other);
+    if each {
+        state.borrow_mut().complains_of = Some(ErrorKind::Other);
+    } else {
+        state.borrow_mut().errors.extend([Some(ErrorKind::Other), None].repeat(20_000));
+    }
     state.borrow_mut().deaf = id(1).into();
     let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(20) };
     assert!(arm.ask_with(id(1), ReadMultiTurnAngle, Some(once), |_| {}).is_err());
@@ -422,7 +452,8 @@ fn a_lost_answer_keeps_its_motor_from_being_asked_no_longer_because_of_complaint
     while !is_answered {
         let note = |event| is_answered |= again.outcome(&event).is_some();
         arm.ask_with(id(2), ReadMultiTurnAngle, None, note).unwrap();
-        assert!(clock.micros() < asked_at + 50_000);
+        assert!(clock.micros() < asked_at + 250_000);
+        clock.advance(pause);
     }
 }
 

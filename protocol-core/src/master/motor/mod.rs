@@ -419,7 +419,7 @@ impl Motor {
         }
         self.late.extend(now, config);
         self.on_its_way.extend(now, config);
-        self.drop_waiting(|asked| !asked.is_stop(), config, now);
+        self.drop_waiting(|asked| (!asked.is_stop()).then_some(Failure::BusDown), config, now);
     }
 
     /// The bus may be down: what waits is dropped if a stop would refuse it. Late replies come later if what has arrived
@@ -428,13 +428,24 @@ impl Motor {
         if may_be_kept {
             self.late.extend(now, config);
         }
-        self.drop_waiting(|asked| asked.kind().is_refused_while_stopped(), config, now);
+        let why = |asked: &Asked| {
+            // Its caller has to know whether it was sent.
+            let why = if asked.unanswered > 0 { Failure::NoReply } else { Failure::BusDown };
+            asked.kind().is_refused_while_stopped().then_some(why)
+        };
+        self.drop_waiting(why, config, now);
     }
 
-    fn drop_waiting(&mut self, is_dropped: impl Fn(&Asked) -> bool, config: &Config, now: Instant) {
+    /// Drops the set-point that waits, and a request if `why` returns a reason.
+    fn drop_waiting(
+        &mut self,
+        why: impl Fn(&Asked) -> Option<Failure>,
+        config: &Config,
+        now: Instant,
+    ) {
         self.drop_waiting_set_point();
-        if self.request.waiting().is_some_and(is_dropped) {
-            self.request_has_failed(Failure::BusDown, config, now);
+        if let Some(why) = self.request.waiting().and_then(why) {
+            self.request_has_failed(why, config, now);
         }
     }
 
