@@ -386,8 +386,8 @@ impl<const N: usize> Master<N> {
         self.change_all(|motor, config| motor.bus_is_down(now, config));
     }
 
-    /// The bus may be down: receiving fails, since then without a pause. What may move a motor is not sent. Questions are, because the
-    /// answers show that the bus is intact, and because motors that hold have to be spoken to.
+    /// The bus may be down: receiving fails, since then without a pause. What may move a motor is not sent. Questions
+    /// are, because the answers show that the bus is intact, and because motors that hold have to be spoken to.
     pub(crate) fn bus_may_be_down(&mut self, since: Instant, now: Instant) {
         self.now = now;
         self.offer = None;
