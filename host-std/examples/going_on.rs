@@ -9,10 +9,10 @@ use std::ops::ControlFlow;
 
 use myactuator_host_std::protocol::MotorId;
 use myactuator_host_std::protocol::command::{
-    AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunTime, ReadStatus1,
+    AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, Status1,
 };
 use myactuator_host_std::protocol::io::bring_up::{self, BringUpError};
-use myactuator_host_std::protocol::io::{Guard, Runner};
+use myactuator_host_std::protocol::io::{CallError, Guard, Runner};
 use myactuator_host_std::protocol::master::{MotorSet, StopKind};
 use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed, Milliseconds};
@@ -20,6 +20,14 @@ use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::Load;
 
 type Arm = [MotorId; 3];
+
+/// Asks all at once.
+fn statuses<R: Runner<8>>(
+    bus: &mut R,
+    arm: Arm,
+) -> impl Iterator<Item = (MotorId, Result<Status1, CallError<R::Error>>)> + use<R> {
+    arm.into_iter().zip(bus.ask_together(arm.map(|motor| (motor, ReadStatus1))))
+}
 
 /// Waits under the stop until somebody says that the arm may go on. Meanwhile it speaks to all motors, so that their
 /// protection (0xB3) lets none go, and locks the brake of one that reports an error: it confirms the stop, but holds
@@ -30,9 +38,7 @@ where
 {
     let mut locked = MotorSet::EMPTY;
     while !may_go_on() {
-        for (motor, status) in
-            arm.into_iter().zip(bus.ask_together(arm.map(|motor| (motor, ReadStatus1))))
-        {
+        for (motor, status) in statuses(bus, arm) {
             // One that does not answer may have no supply.
             let Ok(status) = status else { continue };
             if status.errors.is_empty() || locked.contains(motor) {
@@ -82,9 +88,7 @@ where
         }
     }
     bus.master().lift_stop();
-    for (motor, status) in
-        arm.into_iter().zip(bus.ask_together(arm.map(|motor| (motor, ReadStatus1))))
-    {
+    for (motor, status) in statuses(bus, arm) {
         let errors = status?.errors;
         if !errors.is_empty() {
             println!("motor {motor} is restarted: {errors}");
