@@ -32,6 +32,7 @@ pub fn cycle<const N: usize>(app: &mut App<N>, bus: &mut impl Runner<N>, board: 
             Err(_) => {
                 let now = bus.now();
                 app.handle_bus_error(&mut Moment { now, master: bus.master(), board });
+                bus.idle(app.next_cycle());
             }
         }
     }

@@ -27,8 +27,9 @@
 //! | bytes on RS485 were disturbed or found no room | nothing: the checksum shows it |
 //! | bus-off, or the driver has failed | any other error |
 //!
-//! A disturbed frame on CAN is sent again by whoever has sent it. So up to eight such errors in a round are passed
-//! over; one more is any other error.
+//! A disturbed frame on CAN is sent again by whoever has sent it. So when receiving, up to eight such errors in a round
+//! are passed over; one more is any other error. An error of `transmit` always says that the frame was not taken and
+//! will not be sent: a move that is reported so may be put again.
 //!
 //! Any other error ends the call, except for a stop, and for a question that is answered all the same. So it ends a
 //! control loop that hands errors on. What waits and may move a motor is dropped. If only receiving fails, questions

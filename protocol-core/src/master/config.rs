@@ -180,7 +180,7 @@ impl Config {
         matches!(self.bus, Bus::Rs485 { .. })
     }
 
-    /// Whether the adapter hands back what is sent, as far as the caller has said.
+    /// RS485: whether the caller has said that the adapter echoes.
     pub(crate) const fn echoes(&self) -> bool {
         matches!(self.bus, Bus::Rs485 { echo: true, .. })
     }

@@ -171,9 +171,8 @@ impl LateReplies {
         could_move
     }
 
-    /// All of these may have been due only by then.
-    pub(super) fn extend(&mut self, due: Instant, config: &Config) {
-        let until = due + config.late_window;
+    /// All of these may come until then.
+    pub(super) fn extend(&mut self, until: Instant) {
         for late in self.0.iter_mut().flatten() {
             late.until = late.until.max(until);
         }

@@ -174,7 +174,7 @@ use transmit::{ForAll, Offer};
 /// A master at which nobody has looked for this much longer than its configuration makes anything wait was held up.
 const HELD_UP: Duration = Duration::from_millis(1_000);
 /// For how long a controller that reports an error at each look may keep what it has received.
-const LONGEST_KEPT: Duration = Duration::from_millis(200);
+const LONGEST_KEPT: Duration = Duration::from_millis(100);
 /// The latest point in time.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
 
@@ -265,6 +265,8 @@ pub struct Master<const N: usize> {
     looked_ticket: u32,
     /// RS485: how often bytes came that are no frame.
     garbled: u32,
+    /// RS485: the adapter echoes, as far as is known.
+    line_echoes: bool,
     /// Until then the time alone gives no motor anything to do.
     due: Instant,
     /// CAN: until when the frames that were sent keep the bus busy, or when one was last received. RS485: when the line
@@ -290,6 +292,7 @@ impl<const N: usize> Master<N> {
             motors: [Motor::default(); N],
             places: Places::default(),
             broadcast: Broadcast::default(),
+            line_echoes: config.echoes(),
             config,
             round_trips,
             offer: None,
@@ -419,6 +422,11 @@ impl<const N: usize> Master<N> {
     /// one id, or those of all to a stop.
     pub const fn garbled(&self) -> u32 {
         self.garbled
+    }
+
+    /// RS485: whether the adapter was found to echo.
+    pub(crate) fn note_line_echoes(&mut self, echoes: bool) {
+        self.line_echoes = echoes;
     }
 
     pub(crate) fn note_garbled(&mut self) {

@@ -1,10 +1,11 @@
 //! The searches: adapters, the motors that are there, calls and faults.
 
-use super::super::search::search;
+use super::super::search::{Searched as _, search};
 use super::Call::{Angle, Lift, Lock, Status, Stop, StopAll};
 use super::Fault::{
     CutShort, Deaf, Double, Halt, HaltAndHold, Harm, Late, Lose, LoseMaster, ReadFails,
 };
+use super::Step::{self, Arrive, Poll, Wait};
 use super::{Adapter, Fault, State};
 
 const ANY_FAULT: &[Fault] =
@@ -105,6 +106,21 @@ fn an_echo_passes_for_no_answer_and_no_answer_for_an_echo() {
     run(&DEAF);
     run(&FAILS);
     run(&LOSES_MASTER);
+}
+
+/// What the search for long has found, the first answer of a motor: it came behind the second question, where the echo
+/// of that is looked for.
+#[test]
+fn a_late_answer_that_passes_for_an_echo_uses_up_no_attempts() {
+    let mut state = State::new(&Adapter { most_faults: 2, ..UNTOLD });
+    let mut steps = vec![Step::Call(Angle(1))];
+    steps.extend([Poll, Arrive, Poll, Wait].repeat(4));
+    steps.extend([Poll, Arrive, Step::Call(Angle(0))]);
+    steps.extend([Poll, Wait, Poll, Arrive, Poll, Wait, Poll, Wait, Poll, Arrive]);
+    for step in steps {
+        assert_eq!(state.step(step), Ok(true), "{step:?}");
+    }
+    assert_eq!(state.check_end(), Ok(()));
 }
 
 #[test]

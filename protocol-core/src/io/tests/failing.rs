@@ -53,6 +53,8 @@ struct State {
     errors: VecDeque<Option<ErrorKind>>,
     /// What each look for a frame gives that finds none.
     complains_of: Option<ErrorKind>,
+    /// Of that, one millisecond is free after so many.
+    complains_for_ms: Option<u64>,
     /// Each look for a frame gives an error, and leaves what has come.
     fails_to_receive: bool,
     /// Every call gives an error.
@@ -129,9 +131,10 @@ impl nb::Can for Odd {
         if let Some(kind) = state.errors.pop_front().flatten() {
             return Err(::nb::Error::Other(Reported(kind)));
         }
+        let is_content = state.complains_for_ms.is_some_and(|ms| now / 1_000 % (ms + 1) == ms);
         let nothing = match state.complains_of {
-            Some(kind) => ::nb::Error::Other(Reported(kind)),
-            None => ::nb::Error::WouldBlock,
+            Some(kind) if !is_content => ::nb::Error::Other(Reported(kind)),
+            _ => ::nb::Error::WouldBlock,
         };
         state.received.pop_front().ok_or(nothing)
     }
@@ -393,9 +396,9 @@ fn an_answer_kept_back_is_not_taken_for_a_newer_one(idle: u64) {
             Patience { attempts: 1, reply_timeout: Duration::from_millis(20) },
         )
         .unwrap();
-    fails_until(idle + 150_000, &mut arm);
+    fails_until(idle + 80_000, &mut arm);
     let late = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
-    fails_until(idle + 155_000, &mut arm);
+    fails_until(idle + 85_000, &mut arm);
     let mut answered_at = None;
     let end = Instant::from_micros(idle + 300_000);
     arm.run_until(end, |event| {
@@ -404,8 +407,8 @@ fn an_answer_kept_back_is_not_taken_for_a_newer_one(idle: u64) {
         }
     })
     .unwrap();
-    // Not by what has waited until 155 ms.
-    assert_eq!(answered_at, Some(idle + 155_000 + RESPONSE));
+    // Not by what has waited until 85 ms.
+    assert_eq!(answered_at, Some(idle + 85_000 + RESPONSE));
 }
 
 /// A motor that answered nothing for long is asked again.
@@ -454,6 +457,56 @@ fn a_lost_answer_is_asked_for_again(pause: u64, each: bool) {
         arm.ask_with(id(2), ReadMultiTurnAngle, None, note).unwrap();
         assert!(clock.micros() < asked_at + 250_000);
         clock.advance(pause);
+    }
+}
+
+/// Its driver complains, is content for one look, and complains again.
+#[test]
+fn complaints_that_pause_do_not_keep_a_lost_answer_from_being_asked_for_again() {
+    for complains_for_ms in [1, 20, 25, 50, 99, 150, 1_000] {
+        let ((state, clock), mut arm) = polling();
+        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+        state.borrow_mut().complains_of = Some(ErrorKind::Other);
+        state.borrow_mut().complains_for_ms = Some(complains_for_ms);
+        state.borrow_mut().deaf = MotorSet::ALL;
+        // The answer to the first is lost. The second waits until it can no longer come.
+        arm.master().stop(id(1), StopKind::Hold).unwrap();
+        let mut confirmed = 0;
+        for until in [10, 30, 400].map(Instant::from_millis) {
+            while arm.now() < until {
+                let note = |event| {
+                    confirmed += usize::from(event == Event::StopConfirmed { motor: id(1) })
+                };
+                let _ = arm.run_until(arm.now() + Duration::from_millis(1), note);
+            }
+            if state.borrow().deaf.is_empty() {
+                arm.master().stop(id(1), StopKind::Hold).unwrap();
+            }
+            state.borrow_mut().deaf = MotorSet::EMPTY;
+        }
+        assert_eq!(confirmed, 2, "{complains_for_ms} {:?}", clock.micros());
+    }
+}
+
+/// Its answers may be kept back, and yet it has to be spoken to: it may hold a load.
+#[test]
+fn a_motor_that_is_asked_again_and_again_is_not_left_alone_while_receiving_fails() {
+    for fails_for_ms in [20, 50, 100, 150, 1_000] {
+        let ((state, clock), mut arm) = polling();
+        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+        state.borrow_mut().fails_to_receive = true;
+        let (mut taken, mut sent_at) = (1, clock.micros());
+        while clock.micros() < 1_200_000 {
+            state.borrow_mut().fails_to_receive = clock.micros() < fails_for_ms * 1_000;
+            // It waits for the answer to the one before.
+            let _ = arm.master().request(id(1), ReadMultiTurnAngle);
+            let _ = arm.poll();
+            if state.borrow().taken > taken {
+                (taken, sent_at) = (state.borrow().taken, clock.micros());
+            }
+            assert!(clock.micros() < sent_at + 110_000, "{fails_for_ms} ms");
+            clock.advance(500);
+        }
     }
 }
 

@@ -360,7 +360,7 @@ impl Motor {
         }
         // Only a stop is sent while something is in flight, which may still arrive. On RS485 it waits for that.
         if asked.is_stop() && !config.is_rs485() {
-            self.late.extend(due, config);
+            self.late.extend(due + config.late_window);
         }
         self.stop_set_point(due, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
@@ -417,7 +417,7 @@ impl Motor {
                 self.note_silence(config, now);
             }
         }
-        self.late.extend(now, config);
+        self.late.extend(now + config.late_window);
         self.on_its_way.extend(now, config);
         self.drop_waiting(|asked| (!asked.is_stop()).then_some(Failure::BusDown), config, now);
     }
@@ -426,7 +426,8 @@ impl Motor {
     /// may be kept back.
     pub(super) fn bus_may_be_down(&mut self, may_be_kept: bool, now: Instant, config: &Config) {
         if may_be_kept {
-            self.late.extend(now, config);
+            // Not for longer: errors that pause for one look would prolong it for ever.
+            self.late.extend(now + config.reply_timeout);
         }
         let why = |asked: &Asked| {
             // Its caller has to know whether it was sent.
