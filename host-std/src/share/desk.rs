@@ -3,19 +3,20 @@
 //! Everything is under one lock, so the order of the calls decides: a stop drops what is older
 //! at once, and refuses what comes after it, whether or not the thread has seen it yet.
 
+use std::fmt;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{self, Trouble};
+use myactuator_protocol_core::io;
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Data, MotorId, time};
 
-use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
 use super::subscription::{Subscriber, Subscription};
+use super::{LoopError, SharedBusError};
 use crate::open::{Wake, since_boot};
 
 /// So many looks share the longest round: a program that was frozen finds that the time of one look is up, and still
@@ -223,15 +224,17 @@ impl<E> Desk<E> {
         key: &mut Option<u64>,
         watch: &io::Watch,
         kind: StopKind,
-    ) -> Result<Result<(), Trouble>, SharedBusError<E>> {
+    ) -> Result<(), LoopError<E>>
+    where
+        E: fmt::Debug + 'static,
+    {
         let mut state = self.lock();
         if !matches!(state.life, Life::Running) {
-            return Err(state.last_words());
+            return Err(state.last_words().into());
         }
-        state.check_taken_up()?;
         let found = state.look(key, watch, kind);
         self.leave(state);
-        Ok(found)
+        found
     }
 
     pub(super) fn end_watch(&self, key: u64) {
@@ -348,7 +351,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
-        clerk.keep_alive(state.at_work > 0, state.is_any_left_alone());
+        clerk.keep_alive(state.at_work > 0, state.switched_off);
         matches!(state.life, Life::Running)
     }
 

@@ -49,7 +49,8 @@
 //! [`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
 //! [`check_brake`](SharedBus::check_brake), [`wait_until_stands`](SharedBus::wait_until_stands),
 //! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and [`restart`](SharedBus::restart). Do the rest
-//! (first contact, zeroing, another id) on the master, and share it then.
+//! (first contact, zeroing, another id) on the master, and share it then. Open brakes after that: the bus does not know
+//! which motors [hold](self#motors-that-hold) since before.
 //!
 //! [`SharedBus::new`] takes any master; its calls wait for up to 1 ms more than those of [`SharedBus::open`]. If you
 //! open the port yourself, and so have its clock, [`with_wake`](SharedBus::with_wake) avoids that.
@@ -62,11 +63,10 @@
 //!
 //! let mut master = AnyMaster::<32>::open(&"sim:4".parse()?)?;
 //! let found = bring_up::scan(&mut master, MotorSet::ALL, |_, _| {})?;
-//! for motor in found.iter() {
-//!     bring_up::release_brake(&mut master, motor)?;
-//! }
 //! let bus = SharedBus::new(master, StopKind::Hold);
-//! # drop(bus);
+//! for motor in found.iter() {
+//!     bus.release_brake(motor)?;
+//! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -78,6 +78,14 @@
 //! A command of another thread ends the loop, too, if it is of the kind that the motor is streamed: until it is
 //! answered, the motor's set-points are refused as
 //! [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
+//!
+//! # Motors that hold
+//! The thread of the bus speaks to a motor that was told to hold still, so that its communication-loss protection
+//! (0xB3) does not let its load fall: after a stop that holds, after [`release_brake`](SharedBus::release_brake), and
+//! after a [`Stop`](myactuator_protocol_core::command::Stop) (0x81). It does so until the motor is told to move, is
+//! switched off or has its brake locked. So a motor is held while its robot waits for a person or for another bus, and
+//! also if all other threads hang. A motor that was told to move is spoken to only by whoever moves it, so that its
+//! protection ends what a thread that hangs has begun.
 //!
 //! # A motor that restarts
 //! Its turns may be lost, so moves and set-points are refused from then on. [Subscriptions](Subscription) get
@@ -115,12 +123,12 @@ mod calls;
 mod desk;
 mod error;
 mod guard;
-mod moved;
 mod shared_bus;
 mod state;
 mod subscription;
 #[cfg(test)]
 mod tests;
+mod told;
 mod watch;
 mod ways;
 mod worker;

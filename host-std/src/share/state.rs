@@ -1,19 +1,20 @@
 //! What lies on the desk of the bus, and what a stop or a restart takes away from it.
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{self, Trouble};
+use myactuator_protocol_core::io;
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
-use super::SharedBusError;
 use super::calls::{Order, Question, Untyped, Waiting};
 use super::subscription::Subscriber;
 use super::watch::Watched;
+use super::{LoopError, SharedBusError};
 
 const LONGEST_ROUND: Duration = Duration::from_secs(2);
 
@@ -88,7 +89,7 @@ pub(super) struct State<E> {
     stops_all: bool,
     stopped: MotorSet,
     /// These were switched off by a stop that is in force: a command that holds does not switch them on.
-    switched_off: MotorSet,
+    pub(super) switched_off: MotorSet,
     /// These were reported to have restarted, and were not resumed.
     restarted: MotorSet,
     /// These are being moved, each by one call.
@@ -146,9 +147,9 @@ pub(super) trait Clerk<E> {
     /// Looks at what is watched. True if its loop is late.
     fn watch(&mut self, watched: &mut Watched) -> bool;
 
-    /// Speaks to motors that were sent nothing for a while, if a function that works with one motor waits for the bus, or
-    /// a loop leaves its motors alone.
-    fn keep_alive(&mut self, is_any_at_work: bool, is_any_left_alone: bool);
+    /// Speaks to motors that were sent nothing for a while: to those that hold, and to others if a function that works
+    /// with one motor waits for the bus.
+    fn keep_alive(&mut self, is_any_at_work: bool, switched_off: MotorSet);
 }
 
 impl<E> State<E> {
@@ -266,8 +267,12 @@ impl<E> State<E> {
 
     /// Fails if the thread has taken up nothing for too long: then its driver holds it.
     pub(super) fn check_taken_up(&self) -> Result<(), SharedBusError<E>> {
+        self.check_taken_up_within(self.longest_round)
+    }
+
+    fn check_taken_up_within(&self, longest: Duration) -> Result<(), SharedBusError<E>> {
         match self.news_since {
-            Some(since) if since.elapsed() > self.longest_round => Err(SharedBusError::Held),
+            Some(since) if since.elapsed() > longest => Err(SharedBusError::Held),
             _ => Ok(()),
         }
     }
@@ -278,7 +283,13 @@ impl<E> State<E> {
         key: &mut Option<u64>,
         watch: &io::Watch,
         kind: StopKind,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), LoopError<E>>
+    where
+        E: fmt::Debug + 'static,
+    {
+        // A watch that has not begun begins at 0.
+        let longest = Duration::from(watch.late_after() - time::Instant::ZERO);
+        self.check_taken_up_within(longest.min(self.longest_round))?;
         let key = *key.get_or_insert_with(|| {
             self.last_watch += 1;
             self.watches.push(Watched::new(self.last_watch, watch, kind));
@@ -286,8 +297,10 @@ impl<E> State<E> {
         });
         let watched = self.watches.iter_mut().find(|watched| watched.key == key);
         let watched = watched.expect("it is there until its handle is dropped");
-        // Under a stop it moves nothing, and may leave because of it.
-        if self.stops_all { watched.found() } else { watched.is_looked_at() }
+        if self.stops_all {
+            watched.end();
+        }
+        watched.is_looked_at()
     }
 
     /// Has the clerk look at what is watched, and stops all motors if a loop is late. While a stop of all is in force,
@@ -308,11 +321,6 @@ impl<E> State<E> {
         }
     }
 
-    /// Whether a loop that is watched leaves its motors alone, since all are stopped.
-    pub(super) fn is_any_left_alone(&self) -> bool {
-        self.stops_all && !self.watches.is_empty()
-    }
-
     /// Hands the clerk the orders.
     pub(super) fn hand_over_orders(&mut self, clerk: &mut impl Clerk<E>) {
         for order in self.orders.drain(..) {
@@ -329,7 +337,7 @@ impl<E> State<E> {
         match order {
             Order::StopAll { kind, .. } => {
                 self.stops_all = true;
-                self.watches.iter_mut().for_each(Watched::excuse);
+                self.watches.iter_mut().for_each(Watched::end);
                 self.drop_what_is_stopped(MotorSet::ALL, kind);
             }
             Order::Stop { motor, kind, .. } => {

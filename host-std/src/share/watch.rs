@@ -21,9 +21,8 @@ use crate::open::BusError;
 /// happens if the driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases
 /// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
 ///
-/// After a stop of all, by whoever, the loop need not look. It is watched again from its first look after that stop was
-/// lifted: leave the loop when a set-point is refused. While the stop is in force and a watch that has looked lives,
-/// the bus asks the motors, so that their protection (0xB3) does not let their loads fall.
+/// **A stop of all, by whoever, ends the watch:** from then on each look says so, even if the stop was lifted meanwhile.
+/// So a loop that has not seen the stop does not go on behind it.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -56,8 +55,10 @@ use crate::open::BusError;
 /// ```
 ///
 /// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
-/// a [`move_to`](super::SharedBus::move_to): drop it. Make a new one when the set of motors changes, and after trouble.
-/// It is no handle: it does not keep the bus running.
+/// a [`move_to`](super::SharedBus::move_to): drop it. If a panic drops it, all motors are stopped. Make a new one when
+/// the set of motors changes, after trouble and after a stop. It is no handle: it does not keep the bus running.
+///
+/// A watch of no motors watches only its thread, whatever that does.
 ///
 /// On a bus in virtual time a loop is late only by the time in which calls wait.
 #[must_use = "it watches nothing before its first look"]
@@ -89,24 +90,35 @@ impl<E: fmt::Debug + 'static> Watch<E> {
         self
     }
 
+    /// These brakes have to be open. See [there](myactuator_protocol_core::io::Watch::open_brakes).
+    pub fn open_brakes(mut self, motors: MotorSet) -> Self {
+        self.watch = self.watch.clone().open_brakes(motors);
+        self
+    }
+
     /// Reports what is wrong. Call it once a cycle, before the set-points. Does not wait: what this look finds is
     /// reported by the next.
     ///
     /// # Errors
     /// - [`Trouble`]: what was found first, at each look from then on.
-    /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for 2 s.
+    /// - [`LoopError::Stopped`]: all motors are stopped, or were since the first look.
+    /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for the
+    ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter. Until it comes back nothing is sent.
     /// - [`SharedBusError::Panicked`](super::SharedBusError::Panicked): it has ended.
     pub fn look(&mut self) -> Result<(), LoopError<E>> {
         let Self { desk, kind, watch, key } = self;
-        Ok(desk.look(key, watch, *kind)??)
+        desk.look(key, watch, *kind)
     }
 }
 
 impl<E> Drop for Watch<E> {
     fn drop(&mut self) {
-        if let Some(key) = self.key {
-            self.desk.end_watch(key);
+        let Some(key) = self.key else { return };
+        if std::thread::panicking() {
+            // It is refused only by a bus that has panicked itself.
+            let _ = self.desk.stop_all(self.kind, MotorSet::EMPTY);
         }
+        self.desk.end_watch(key);
     }
 }
 
@@ -116,6 +128,16 @@ impl<E> fmt::Debug for Watch<E> {
     }
 }
 
+/// Where a watch is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Course {
+    /// The loop has not looked yet, or the thread has not seen that it has.
+    NotBegun,
+    Watches,
+    /// All motors were stopped: the loop moves nothing, and need not look.
+    Over,
+}
+
 /// What the thread of the bus has of a watch.
 #[derive(Clone, Debug)]
 pub(super) struct Watched {
@@ -123,59 +145,58 @@ pub(super) struct Watched {
     /// How its motors are to be stopped if a loop is late.
     pub(super) kind: StopKind,
     watch: io::Watch,
+    course: Course,
     /// The loop has looked, and the thread has not.
     is_due: bool,
-    /// It has not looked since all motors were stopped, or not yet: it moves nothing.
-    is_excused: bool,
     found: Option<Trouble>,
 }
 
 impl Watched {
     pub(super) fn new(key: u64, watch: &io::Watch, kind: StopKind) -> Self {
         let watch = watch.clone();
-        Self { key, kind, watch, is_due: false, is_excused: true, found: None }
+        Self { key, kind, watch, course: Course::NotBegun, is_due: false, found: None }
     }
 
     /// The loop looks. Returns what was found before.
-    pub(super) fn is_looked_at(&mut self) -> Result<(), Trouble> {
-        self.is_due = true;
-        self.found()
-    }
-
-    /// What was found.
-    pub(super) fn found(&self) -> Result<(), Trouble> {
-        self.found.map_or(Ok(()), Err)
+    pub(super) fn is_looked_at<E: fmt::Debug>(&mut self) -> Result<(), LoopError<E>> {
+        self.is_due = self.course != Course::Over;
+        match self.found {
+            Some(trouble) => Err(trouble.into()),
+            None if self.course == Course::Over => Err(LoopError::Stopped),
+            None => Ok(()),
+        }
     }
 
     pub(super) fn note(&mut self, event: &Event) {
         self.watch.note(event);
     }
 
-    /// All motors are stopped: the loop need not look until it goes on. A look before that does not count.
-    pub(super) fn excuse(&mut self) {
-        (self.is_excused, self.is_due) = (true, false);
+    /// All motors are stopped.
+    pub(super) fn end(&mut self) {
+        (self.course, self.is_due) = (Course::Over, false);
     }
 
     /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be
     /// stopped.
     pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         let has_looked = std::mem::take(&mut self.is_due);
-        // It begins, or goes on after a stop; or it was told of trouble, and may hang before it has left.
-        if has_looked && (self.is_excused || self.found.is_some()) {
-            self.watch = self.watch.anew(now);
-            self.is_excused = false;
+        // It begins. Or it was told of trouble, and may hang before it has left.
+        if has_looked && (self.course == Course::NotBegun || self.found.is_some()) {
+            (self.watch, self.course) = (self.watch.anew(now), Course::Watches);
             return false;
         }
         let is_late = self.late_after().is_some_and(|time| now > time);
         if self.found.is_none() && (has_looked || is_late) {
             self.found = self.watch.look(master, now).err();
         }
-        self.is_excused |= is_late;
+        if is_late {
+            self.end();
+        }
         is_late
     }
 
     /// Until when the loop has to look, if it has to.
     pub(super) fn late_after(&self) -> Option<Instant> {
-        (!self.is_excused).then(|| self.watch.late_after())
+        (self.course == Course::Watches).then(|| self.watch.late_after())
     }
 }

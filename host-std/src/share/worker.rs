@@ -14,8 +14,8 @@ use myactuator_protocol_core::{Data, MotorId};
 use super::SharedBusError;
 use super::calls::{Answer, Asker, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
-use super::moved::Moved;
 use super::state::{Clerk, Put};
+use super::told::Told;
 use super::watch::Watched;
 use crate::open::since_boot;
 
@@ -35,7 +35,7 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         stopping: Vec::new(),
         keep_alive: None,
         is_any_waiting: false,
-        moved: Moved::default(),
+        told: Told::default(),
         waiting: Vec::new(),
         turn_ends: None,
         late_after: None,
@@ -86,13 +86,12 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// While a stop or a function waits for one motor, the others are asked. Not while the caller's own code runs,
-    /// which may hang. Motors of a loop that is watched are asked while all are stopped.
+    /// Motors that hold are asked; while a stop or a function waits for one motor, all are. But not those that may be
+    /// moving: only whoever moves them keeps them alive, and may hang.
     keep_alive: Option<KeepAlive>,
     /// A stop, or a function that works with one motor, waits.
     is_any_waiting: bool,
-    /// Only whoever moves these keeps them alive: it may hang.
-    moved: Moved,
+    told: Told,
     /// Callers that wait for a time.
     waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// The first time at which a question that waits for its turn gives up.
@@ -145,7 +144,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         self.looked_at = self.runner.now();
         match self.runner.poll() {
             Ok(event) => {
-                if std::mem::take(&mut self.has_failed) {
+                // An event may be one that the failed round has left.
+                if event.is_none() && std::mem::take(&mut self.has_failed) {
                     desk.works();
                 }
                 match event {
@@ -182,9 +182,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             desk.has_restarted(motor);
         }
         match *event {
-            Event::StopConfirmed { motor } => self.moved.is_stopped(motor),
+            Event::StopConfirmed { motor } => self.told.confirmed(motor),
             Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
-                self.moved.is_stopped(ticket.motor());
+                self.told.confirmed(ticket.motor());
             }
             _ => {}
         }
@@ -296,7 +296,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             asked.answer
         });
         desk.fail(&error, answers);
-        // An event of the next round would look as if the bus worked.
+        // A bus that fails at each round leaves no other occasion.
         while let Some(event) = self.runner.master().poll_event() {
             self.tell(&event, desk);
         }
@@ -334,12 +334,12 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
-                self.moved.is_to_stop(MotorSet::ALL);
+                self.told.stops(running, kind);
                 self.await_stop(Some(StopOfAll { kind, asker }), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
                 Ok(()) => {
-                    self.moved.is_to_stop(motor.into());
+                    self.told.stops(motor.into(), kind);
                     self.await_stop(None, motor.into(), MotorSet::EMPTY, answer);
                 }
                 Err(refusal) => {
@@ -365,16 +365,21 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         is_late
     }
 
-    fn keep_alive(&mut self, is_any_at_work: bool, is_any_left_alone: bool) {
+    fn keep_alive(&mut self, is_any_at_work: bool, switched_off: MotorSet) {
         self.is_any_waiting = is_any_at_work || !self.stopping.is_empty();
-        if !self.is_any_waiting && !is_any_left_alone {
+        let motors = match self.is_any_waiting {
+            true => MotorSet::ALL.without(self.told.may_move()),
+            // The protection of a motor that is off may lock its brake.
+            false => self.told.holding().without(switched_off),
+        };
+        if motors.is_empty() {
             // What is still to come of its questions is for nobody.
             self.keep_alive.take_if(|it| !it.is_waiting());
             return;
         }
         let now = self.runner.now();
         let keep_alive = self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
-        keep_alive.ask(MotorSet::ALL.without(self.moved.all()), self.runner.master(), now);
+        keep_alive.ask(motors, self.runner.master(), now);
     }
 
     fn set_point(
@@ -384,7 +389,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         found_at: Instant,
     ) -> Result<(), RequestError> {
         self.note_work();
-        self.moved.is_moved(motor);
+        self.told.moves(motor);
         self.runner.master().set_point(motor, set_point, found_at)
     }
 
@@ -414,10 +419,10 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         match ticket {
             Ok(ticket) => {
                 if command.kind.moves() {
-                    self.moved.is_moved(motor);
+                    self.told.moves(motor);
                 }
                 if command.kind.ends_motion() {
-                    self.moved.is_to_stop(motor.into());
+                    self.told.ends_motion(motor, command.kind);
                 }
                 let Question { asker, answer, .. } = question;
                 self.asked.push(Asked { asker, ticket, answer });

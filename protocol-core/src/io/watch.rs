@@ -1,6 +1,8 @@
 //! What goes wrong with motors while a control loop moves them.
 
-use crate::command::{AnyReply, Command, ErrorFlags, ReadRunTime, ReadStatus1, Status1};
+use crate::command::{
+    AnyReply, BrakeCommand, Command, ErrorFlags, ReadRunTime, ReadStatus1, Status1,
+};
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::kind::Kind;
@@ -42,6 +44,9 @@ pub enum Trouble {
         "motor {0} has cut its output: it had heard nothing for longer than its protection allows"
     )]
     LostMaster(MotorId),
+    /// The drive reports (0x9A) that it was last told to lock its brake, which [has to be open](Watch::open_brakes).
+    #[error("motor {0} reports a locked brake: the loop would work against it")]
+    BrakeLocked(MotorId),
     /// A question of the watch had no answer for ten times [`Watch::longest_silence`], so the state of the motor is not
     /// known. Or its answer was not [noted](Watch::note), or the motor was busy at every look.
     #[error(
@@ -93,7 +98,8 @@ pub enum LoopError<E> {
 /// the manual does not know. Of a drive that does not send it, an outage shows only as silence. So let the protection be
 /// longer than the [longest silence](Self::longest_silence) and the
 /// [reply time-out](crate::master::Config::reply_timeout) together. Otherwise a drive may let go and lock its brake, and
-/// be heard again just in time: then the loop goes on against the brake.
+/// be heard again just in time: then the loop goes on against the brake, unless [its brake is
+/// watched](Self::open_brakes).
 ///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///
@@ -104,6 +110,7 @@ pub struct Watch {
     motors: MotorSet,
     longest_silence: Duration,
     ask_every: Duration,
+    open_brakes: MotorSet,
     begun: Instant,
     /// When it looked last.
     looked: Instant,
@@ -123,6 +130,7 @@ impl Watch {
             motors,
             longest_silence: Duration::from_millis(100),
             ask_every: Duration::from_millis(10),
+            open_brakes: MotorSet::EMPTY,
             begun: now,
             looked: now,
             next: now,
@@ -135,7 +143,10 @@ impl Watch {
     /// This watch, begun anew: for a loop that goes on after a stop.
     #[must_use]
     pub const fn anew(&self, now: Instant) -> Self {
-        Self::new(self.motors, now).longest_silence(self.longest_silence).ask_every(self.ask_every)
+        Self::new(self.motors, now)
+            .longest_silence(self.longest_silence)
+            .ask_every(self.ask_every)
+            .open_brakes(self.open_brakes)
     }
 
     /// How long a motor may give no feedback, and the loop may be held up; 100 ms unless said otherwise.
@@ -159,6 +170,17 @@ impl Watch {
     #[must_use]
     pub const fn ask_every(mut self, time: Duration) -> Self {
         self.ask_every = time;
+        self
+    }
+
+    /// The brakes of these motors have to be open, from the first answer on. Without this a locked brake is no trouble,
+    /// since the watch does not know who has one.
+    ///
+    /// Leave out a drive that reports an open brake only while it runs a command: some firmware does (2025070202, seen
+    /// in the field), and would end the loop when the motor rests.
+    #[must_use]
+    pub const fn open_brakes(mut self, motors: MotorSet) -> Self {
+        self.open_brakes = motors;
         self
     }
 
@@ -228,8 +250,12 @@ impl Watch {
     /// Takes note of an event. Call it with each one. A call that waits, such as
     /// [`ask`](crate::io::Runner::ask), drops those of others: an answer that it drops is asked for again.
     pub fn note(&mut self, event: &Event) {
-        let errors_of = |motor, Status1 { errors, .. }| {
-            let trouble = (!errors.is_empty()).then_some(Trouble::Errors { motor, errors });
+        let status_of = |motor, Status1 { errors, brake, .. }| {
+            let is_locked = brake == BrakeCommand::LOCK && self.open_brakes.contains(motor);
+            let trouble = match errors.is_empty() {
+                false => Some(Trouble::Errors { motor, errors }),
+                true => is_locked.then_some(Trouble::BrakeLocked(motor)),
+            };
             (motor, Some(Opcode::ReadStatus1), trouble)
         };
         // No matter who has asked, or whether anyone has. The master keeps what a run time says of a restart.
@@ -237,11 +263,11 @@ impl Watch {
             Event::LostMaster { motor } => (motor, None, Some(Trouble::LostMaster(motor))),
             Event::Report { motor, reply: AnyReply::ReadStatus1(status) }
             | Event::BroadcastReply { motor, reply: AnyReply::ReadStatus1(status) } => {
-                errors_of(motor, status)
+                status_of(motor, status)
             }
             Event::Reply { ticket, kind: Kind::Known(opcode), data } => {
                 match ReadStatus1::decode_reply(&data) {
-                    Ok(status) => errors_of(ticket.motor(), status),
+                    Ok(status) => status_of(ticket.motor(), status),
                     Err(_) => (ticket.motor(), Some(opcode), None),
                 }
             }

@@ -52,7 +52,7 @@ impl Clerk<CanError> for Notes {
         self.looked_at
     }
 
-    fn keep_alive(&mut self, _: bool, _: bool) {}
+    fn keep_alive(&mut self, _: bool, _: MotorSet) {}
 
     fn watch(&mut self, _: &mut Watched) -> bool {
         self.late.pop().unwrap()
@@ -573,7 +573,7 @@ fn restart_reported_while_its_resumption_waits_blocks_nothing() {
 fn a_loop_that_is_late_drops_what_it_has_laid_down() {
     let desk = new_desk();
     let watch = Watch::new(id(1).into(), Instant::ZERO);
-    desk.look(&mut None, &watch, StopKind::Hold).unwrap().unwrap();
+    desk.look(&mut None, &watch, StopKind::Hold).unwrap();
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     let mut notes = Notes { late: vec![true], ..Notes::default() };
     desk.take(&mut notes);
@@ -593,7 +593,7 @@ fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
             let desk = new_desk();
             let watch = Watch::new(id(1).into(), Instant::ZERO);
             for kind in kinds {
-                desk.look(&mut None, &watch, kind).unwrap().unwrap();
+                desk.look(&mut None, &watch, kind).unwrap();
             }
             let mut notes = Notes { late: late.to_vec(), ..Notes::default() };
             desk.take(&mut notes);
@@ -608,9 +608,7 @@ fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
 fn a_loop_that_is_late_lets_go_nothing_that_a_stop_of_its_own_holds() {
     for (kind, expected) in [(StopKind::Hold, "Hold"), (StopKind::Off, "Off")] {
         let desk = new_desk();
-        desk.look(&mut None, &Watch::new(id(1).into(), Instant::ZERO), StopKind::Off)
-            .unwrap()
-            .unwrap();
+        desk.look(&mut None, &Watch::new(id(1).into(), Instant::ZERO), StopKind::Off).unwrap();
         drop(desk.stop(id(2), kind, None).unwrap());
         let mut notes = Notes { late: vec![true], ..Notes::default() };
         desk.take(&mut notes);

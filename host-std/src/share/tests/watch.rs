@@ -37,9 +37,9 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     let watch = watch.longest_silence(Duration::from_millis(30));
     let mut watched = Watched::new(1, &watch, StopKind::Off);
     let ms = Instant::from_millis;
-    assert_eq!(watched.is_looked_at(), Ok(()));
+    watched.is_looked_at::<()>().unwrap();
     assert!(!watched.look(master, ms(1_000)), "it begins here");
-    assert_eq!(watched.is_looked_at(), Ok(()));
+    watched.is_looked_at::<()>().unwrap();
     assert!(!watched.look(master, ms(1_010)));
     assert_eq!(watched.late_after(), Some(ms(1_040)));
     assert!(!watched.look(master, ms(1_040)));
@@ -47,11 +47,16 @@ fn a_loop_is_late_once_and_not_before_it_has_looked() {
     assert!(!watched.look(master, ms(1_042)), "it is stopped once");
     assert_eq!(watched.late_after(), None);
     // It looks again, and hangs again.
-    assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
-    assert!(!watched.look(master, ms(2_000)));
-    assert_eq!(watched.late_after(), Some(ms(2_030)));
-    assert!(watched.look(master, ms(2_031)));
-    assert_eq!(watched.is_looked_at(), Err(Trouble::Late(Duration::from_millis(31))));
+    for now in [2_000, 3_000].map(ms) {
+        is_told(&mut watched, Trouble::Late(Duration::from_millis(31)));
+        assert!(!watched.look(master, now));
+    }
+}
+
+#[track_caller]
+fn is_told(watched: &mut Watched, trouble: Trouble) {
+    let LoopError::Trouble(found) = watched.is_looked_at::<()>().unwrap_err() else { panic!() };
+    assert_eq!(found, trouble);
 }
 
 #[test]
@@ -192,25 +197,25 @@ fn a_loop_that_hangs_after_trouble_is_late_too() {
     let watch = io::Watch::new(id(1).into(), Instant::ZERO);
     let mut watched = Watched::new(1, &watch, StopKind::Hold);
     let ms = Instant::from_millis;
-    assert_eq!(watched.is_looked_at(), Ok(()));
+    watched.is_looked_at::<()>().unwrap();
     assert!(!watched.look(master, ms(0)));
     watched.note(&Event::LostMaster { motor: id(1) });
-    assert_eq!(watched.is_looked_at(), Ok(()));
+    watched.is_looked_at::<()>().unwrap();
     assert!(!watched.look(master, ms(50)));
     let mut told = watched.clone();
     // 100 ms after the last look that found nothing.
     assert_eq!(watched.late_after(), Some(ms(100)));
     assert!(watched.look(master, ms(101)));
     assert!(!watched.look(master, ms(102)));
-    assert_eq!(watched.is_looked_at(), Err(Trouble::LostMaster(id(1))));
-    assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
+    is_told(&mut watched, Trouble::LostMaster(id(1)));
+    is_told(&mut told, Trouble::LostMaster(id(1)));
     // 100 ms after it was told.
     assert!(!told.look(master, ms(60)));
     assert_eq!(told.late_after(), Some(ms(160)));
     assert!(!told.look(master, ms(160)));
     assert!(told.look(master, ms(161)));
     assert!(!told.look(master, ms(162)));
-    assert_eq!(told.is_looked_at(), Err(Trouble::LostMaster(id(1))));
+    is_told(&mut told, Trouble::LostMaster(id(1)));
 }
 
 /// A watch of a motor, whose loop was just told of trouble.
@@ -245,39 +250,52 @@ fn a_watch_ends_when_all_are_stopped_after_its_trouble() {
     }
 }
 
-/// It was not told of anything: a set-point was refused, and it has left. Its watch is still there.
+/// It was held up while all were stopped and the stop was lifted. Behind that it does not go on, nor is it late.
 #[test]
-fn a_loop_need_not_look_when_all_were_stopped() {
-    let (_fleet, bus) = shared(1);
-    let limit = Duration::from_millis(100);
-    let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
-    watch.look().unwrap();
-    bus.set_point(id(1), turn(90.0)).unwrap();
-    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
-    bus.lift_stop().unwrap();
-    thread::sleep(time::Duration::from_millis(200));
-    bus.ask(id(1), turn(10.0)).unwrap();
-    // It goes on, and is watched from here on.
-    let mut events = bus.subscribe(10_000);
-    watch.look().unwrap();
-    assert!(events.any(|event| event == Event::StopConfirmed { motor: id(1) }));
+fn a_stop_of_all_ends_the_watch_of_a_loop_that_has_not_seen_it() {
+    for is_lifted in [true, false] {
+        let (_fleet, bus) = shared(1);
+        let limit = Duration::from_millis(100);
+        let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(limit);
+        watch.look().unwrap();
+        bus.set_point(id(1), turn(90.0)).unwrap();
+        assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+        if is_lifted {
+            bus.lift_stop().unwrap();
+        }
+        for _ in 0..2 {
+            assert!(matches!(watch.look(), Err(LoopError::Stopped)));
+            thread::sleep(time::Duration::from_millis(150));
+        }
+        bus.lift_stop().unwrap();
+        bus.ask(id(1), turn(10.0)).unwrap();
+        // It goes on with another.
+        let mut watch = bus.watch(id(1).into(), StopKind::Hold).longest_silence(NEVER_LATE);
+        for _ in 0..10 {
+            watch.look().unwrap();
+            thread::sleep(time::Duration::from_millis(1));
+        }
+    }
 }
 
-/// It was told, and goes on all the same when the stop of all is lifted.
+/// Nobody else would: the motors of other threads go on.
 #[test]
-fn a_loop_that_looks_again_after_its_trouble_is_watched_again() {
-    let (_fleet, bus) = shared(1);
-    let mut watch = told(&bus);
-    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
-    bus.lift_stop().unwrap();
+fn a_panic_that_drops_a_watch_stops_all() {
+    let (_fleet, bus) = shared(2);
+    bus.ask(id(2), turn(90.0)).unwrap();
     let mut events = bus.subscribe(10_000);
-    assert!(watch.look().is_err());
-    assert!(events.any(|event| event == Event::StopConfirmed { motor: id(1) }));
+    let mut watch = bus.watch(MotorSet::EMPTY, StopKind::Hold).longest_silence(NEVER_LATE);
+    let supervisor = thread::spawn(move || {
+        watch.look().unwrap();
+        panic!("of the test");
+    });
+    assert!(supervisor.join().is_err());
+    assert!(events.any(|event| event == Event::StopConfirmed { motor: id(2) }));
 }
 
-/// A loop that hangs speaks to nobody, and its motors hold all the same.
+/// A loop that hangs speaks to nobody, nor does one that has left. Their motors hold all the same.
 #[test]
-fn motors_of_a_loop_that_hangs_are_asked_until_its_watch_is_dropped() {
+fn motors_of_a_loop_that_hangs_hold() {
     let (fleet, bus) = shared(1);
     bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
     let state = || fleet.drives[0].with(|drive| drive.state());
@@ -289,28 +307,7 @@ fn motors_of_a_loop_that_hangs_are_asked_until_its_watch_is_dropped() {
     });
     // It has left, and its watch with it.
     thread::sleep(time::Duration::from_millis(700));
-    assert!(state().communication_lost);
-}
-
-/// Whoever waits now for a person speaks to nobody, whether or not the loop has looked again.
-#[test]
-fn motors_are_asked_while_all_are_stopped_after_trouble() {
-    for looks_again in [false, true] {
-        let (fleet, bus) = shared(1);
-        bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
-        let mut watch = told(&bus);
-        let state = || fleet.drives[0].with(|drive| drive.state());
-        assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
-        if looks_again {
-            watch.look().unwrap_err();
-        }
-        thread::sleep(time::Duration::from_millis(700));
-        assert!(state().output_on && !state().communication_lost);
-        // From here on its program speaks to it, or it lets go.
-        bus.lift_stop().unwrap();
-        thread::sleep(time::Duration::from_millis(700));
-        assert!(state().communication_lost);
-    }
+    assert!(state().output_on && !state().communication_lost);
 }
 
 /// The watch outlives the guard's stop. What that holds must not be let go, nor switched on what that lets go. A loop
@@ -361,21 +358,6 @@ fn virtual_time_stands_still_while_a_loop_that_is_watched_does_nothing() {
     drop(watch);
 }
 
-/// It goes on cycling, and its set-points are refused.
-#[test]
-fn looks_under_a_stop_ask_nothing() {
-    let (fleet, bus) = shared(1);
-    let mut watch = bus.watch(id(1).into(), StopKind::Hold);
-    watch.look().unwrap();
-    assert!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap().is_empty());
-    let log = fleet.world.log();
-    for _ in 0..50 {
-        watch.look().unwrap();
-        thread::sleep(time::Duration::from_millis(1));
-    }
-    assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x9A));
-}
-
 /// The stop is lifted before the thread has seen either. The loop has left because of it.
 #[test]
 fn a_look_under_a_stop_does_not_count_after_it() {
@@ -383,18 +365,31 @@ fn a_look_under_a_stop_does_not_count_after_it() {
     let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
     let master = &mut Master::<1>::new(Config::CAN);
     let mut key = None;
-    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
+    desk.look(&mut key, &watch, StopKind::Hold).unwrap();
     let looks = |desk: &Desk<CanError>, at: u64, master: &mut Master<1>| {
         desk.lock().watches[0].look(master, Instant::from_millis(at))
     };
     assert!(!looks(&desk, 0, master));
     let _stop = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
-    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
-    desk.order(Order::LiftStop).unwrap();
-    assert!(!looks(&desk, 10, master));
-    assert_eq!(desk.lock().watches[0].late_after(), None);
-    // It goes on.
-    desk.look(&mut key, &watch, StopKind::Hold).unwrap().unwrap();
-    assert!(!looks(&desk, 20, master));
-    assert_eq!(desk.lock().watches[0].late_after(), Some(Instant::from_millis(120)));
+    for _ in 0..2 {
+        let stopped = desk.look(&mut key, &watch, StopKind::Hold);
+        assert!(matches!(stopped, Err(LoopError::Stopped)));
+        desk.order(Order::LiftStop).unwrap();
+        assert!(!looks(&desk, 10, master));
+        assert_eq!(desk.lock().watches[0].late_after(), None);
+    }
+}
+
+/// Long before 2 s: its motors run on with the set-points that they have.
+#[test]
+fn a_watch_says_soon_that_its_bus_is_held() {
+    let desk: Desk<CanError> = Desk::new(None);
+    let limit = Duration::from_millis(30);
+    let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO).longest_silence(limit);
+    let mut key = None;
+    desk.look(&mut key, &watch, StopKind::Hold).unwrap();
+    // Nobody takes that up.
+    thread::sleep(time::Duration::from_millis(31));
+    let held = desk.look(&mut key, &watch, StopKind::Hold);
+    assert!(matches!(held, Err(LoopError::Call(SharedBusError::Held))));
 }

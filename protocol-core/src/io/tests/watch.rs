@@ -206,6 +206,23 @@ fn a_status_without_an_error_and_errors_of_others_are_no_trouble() {
     assert_eq!(bench.look(ms(2)), Ok(()));
 }
 
+/// HEALTHY says that the brake is locked.
+#[test]
+fn locked_brake_is_reported_where_it_has_to_be_open() {
+    let (mut released, mut stalled) = (HEALTHY, STALLED);
+    (released[3], stalled[3]) = (1, 0);
+    let locked = Err(Trouble::BrakeLocked(id(1)));
+    let error = Err(Trouble::Errors { motor: id(1), errors: ErrorFlags::STALL });
+    for (motor, data, expected) in
+        [(1, HEALTHY, locked), (1, released, Ok(())), (1, stalled, error), (2, HEALTHY, Ok(()))]
+    {
+        let mut bench = Bench::new();
+        bench.watch = bench.watch.open_brakes(id(1).into()).anew(ms(0));
+        bench.hear(motor, data, ms(1));
+        assert_eq!(bench.look(ms(2)), expected, "{motor} {data:?}");
+    }
+}
+
 #[test]
 fn error_in_the_answer_to_a_broadcast_is_reported() {
     let mut bench = Bench::new();
