@@ -136,11 +136,13 @@ fn stop_line(session: &mut Session, kind: StopKind) {
         session.master.master().lift_stop();
         let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
         while session.master.master().is_stop_to_all_waiting() {
-            if session.master.poll().is_err() {
-                return;
-            }
+            let has_failed = session.master.poll().is_err();
             let soon = session.master.now() + LONGEST_WAIT;
             session.master.idle(soon);
+            if has_failed {
+                // It may have been sent all the same. The next one is tried in any case.
+                break;
+            }
         }
     }
     // All motors answer the last one at once.
