@@ -231,7 +231,7 @@ fn motors_of_one_loop_hold_while_guards_wait_for_another() {
     bus.world.cut(bus.drives[0].station());
     runner.master().forget(id(1));
     let begun = runner.now();
-    let unconfirmed = Guards::new([&mut other, &mut runner], StopKind::Hold).finish();
+    let unconfirmed = Guards::new([&mut other, &mut runner], [StopKind::Hold; 2]).finish();
     assert_eq!(unconfirmed, [id(1).into(), MotorSet::EMPTY]);
     assert!(runner.now() - begun >= millis(300), "{}", runner.now() - begun);
     check_others_hold(&bus);

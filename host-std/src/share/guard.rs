@@ -41,7 +41,7 @@ pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError>(Guards<1, E>)
 impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
     /// Guards what is done with this handle.
     pub const fn new(bus: SharedBus<E>, kind: StopKind) -> Self {
-        Self(Guards::new([bus], kind))
+        Self(Guards::new([bus], [kind]))
     }
 
     /// Stops all motors now, as [`SharedBus::stop_all`] does, and returns those that have not confirmed it: **cut
@@ -56,8 +56,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 }
 
 /// Handles of several buses. When their thread leaves them, the motors of all buses are stopped, as by a [`Guard`] of
-/// each bus, but at the same time: a bus that is cut holds up no other, whose motors are asked until all have ended. It
-/// is used like the array of the handles.
+/// each bus, but at the same time: a bus that is cut holds up no other. It is used like the array of the handles.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -67,7 +66,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 ///
 /// let address: BusAddress = "sim:4".parse()?;
 /// let arms = [SharedBus::open(&address, StopKind::Hold)?, SharedBus::open(&address, StopKind::Hold)?];
-/// let arms = Guards::new(arms, StopKind::Hold);
+/// let arms = Guards::new(arms, [StopKind::Hold; 2]);
 /// for arm in arms.iter() {
 ///     arm.release_brake(MotorId::MIN)?;
 /// }
@@ -81,14 +80,15 @@ impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
 #[must_use = "the motors are stopped when it is dropped"]
 pub struct Guards<const M: usize, E: fmt::Debug + Send + Sync + 'static = BusError> {
     buses: [SharedBus<E>; M],
-    kind: StopKind,
+    kinds: [StopKind; M],
     is_finished: bool,
 }
 
 impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
-    /// Guards what is done with these handles.
-    pub const fn new(buses: [SharedBus<E>; M], kind: StopKind) -> Self {
-        Self { buses, kind, is_finished: false }
+    /// Guards what is done with these handles. Each bus has its own kind of stop: an arm is held, and its gripper let
+    /// go, for example.
+    pub const fn new(buses: [SharedBus<E>; M], kinds: [StopKind; M]) -> Self {
+        Self { buses, kinds, is_finished: false }
     }
 
     /// Stops all motors of all buses now, and returns those of each bus that have not confirmed it: **cut their
@@ -102,9 +102,12 @@ impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
     }
 
     fn stop(&self) -> [Result<MotorSet, SharedBusError<E>>; M] {
-        // The motors of each bus go on holding while another bus is waited for.
-        let _at_work = self.buses.each_ref().map(|bus| bus.desk().begin_work());
-        let stops = self.buses.each_ref().map(|bus| bus.begin_stop_all(self.kind, MotorSet::EMPTY));
+        // There is one for each bus.
+        let mut kinds = self.kinds.into_iter();
+        let stops = self
+            .buses
+            .each_ref()
+            .map(|bus| bus.begin_stop_all(kinds.next().unwrap_or(StopKind::Hold), MotorSet::EMPTY));
         stops.map(Stopping::wait)
     }
 }

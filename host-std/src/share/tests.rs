@@ -925,7 +925,7 @@ fn guarded_buses_are_stopped_without_waiting_for_one_another() {
     }
     let log = second.world.log();
     hold_up(&order);
-    let leaving = thread::spawn(move || drop(Guards::new([held, bus], StopKind::Hold)));
+    let leaving = thread::spawn(move || drop(Guards::new([held, bus], [StopKind::Hold; 2])));
     let begun = std::time::Instant::now();
     while !packets(&log).iter().any(|packet| packet.data[0] == 0x81) {
         // Whoever waits for the first does so for all that time.
@@ -934,6 +934,20 @@ fn guarded_buses_are_stopped_without_waiting_for_one_another() {
     }
     order.store(WORK, Ordering::SeqCst);
     leaving.join().unwrap();
+}
+
+#[test]
+fn guards_stop_each_bus_in_its_own_way() {
+    let (fleets, buses): (Vec<_>, Vec<_>) = [shared(1), shared(1)].into_iter().unzip();
+    for bus in &buses {
+        bus.ask(id(1), turn(90.0)).unwrap();
+    }
+    let [arm, hand] = [0, 1].map(|at: usize| buses[at].clone());
+    for stopped in Guards::new([arm, hand], [StopKind::Hold, StopKind::Off]).finish() {
+        assert!(stopped.unwrap().is_empty());
+    }
+    let is_on = |fleet: &CanFleet| fleet.drives[0].with(|drive| drive.state().output_on);
+    assert!(is_on(&fleets[0]) && !is_on(&fleets[1]));
 }
 
 #[test]
@@ -946,7 +960,7 @@ fn motors_of_one_bus_are_asked_while_guards_wait_for_another() {
     let [(cut, cut_bus), (whole, bus)] = [first, second];
     cut.world.cut(cut.drives[0].station());
     let begun = std::time::Instant::now();
-    let unconfirmed = Guards::new([cut_bus, bus.clone()], StopKind::Hold).finish();
+    let unconfirmed = Guards::new([cut_bus, bus.clone()], [StopKind::Hold; 2]).finish();
     assert_eq!(unconfirmed.map(Result::unwrap), [id(1).into(), MotorSet::EMPTY]);
     // As long as a stop that is not confirmed is tried.
     assert!(begun.elapsed() > std::time::Duration::from_millis(400), "too soon to show anything");

@@ -116,7 +116,7 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 /// # use myactuator_protocol_core::io::{CallError, Guards, Runner};
 /// # use myactuator_protocol_core::{MotorId, master::StopKind, time::Duration};
 /// # fn walk<R: Runner<4>>(legs: [&mut R; 3], motor: MotorId, torque: Torque) -> Result<(), CallError<R::Error>> {
-/// let mut legs = Guards::new(legs, StopKind::Hold);
+/// let mut legs = Guards::new(legs, [StopKind::Hold; 3]);
 /// // A cycle. Each has its own clock.
 /// let next = legs.each_ref().map(|leg| leg.now() + Duration::from_millis(2));
 /// for leg in legs.iter_mut() {
@@ -137,13 +137,13 @@ impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
 #[must_use = "the motors are stopped when they are dropped"]
 pub struct Guards<'a, R: Runner<N>, const M: usize, const N: usize> {
     buses: [&'a mut R; M],
-    kind: StopKind,
+    kinds: [StopKind; M],
 }
 
 impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
-    /// Guards these loops.
-    pub const fn new(buses: [&'a mut R; M], kind: StopKind) -> Self {
-        Self { buses, kind }
+    /// Guards these loops, each of which has its own kind of stop: an arm is held, and its gripper let go, for example.
+    pub const fn new(buses: [&'a mut R; M], kinds: [StopKind; M]) -> Self {
+        Self { buses, kinds }
     }
 
     /// Stops all motors of all buses now and returns, for each bus, those that have not confirmed: **cut their power**.
@@ -153,14 +153,17 @@ impl<'a, R: Runner<N>, const M: usize, const N: usize> Guards<'a, R, M, N> {
     }
 
     fn stop(&mut self) -> [MotorSet; M] {
-        let kind = self.kind;
+        // There is one for each bus.
+        let mut kinds = self.kinds.into_iter();
         // In force on every bus before any driver is used, because a driver may panic.
-        for bus in &mut self.buses {
+        let buses = self.buses.each_mut().map(|bus| {
+            let kind = kinds.next().unwrap_or(StopKind::Hold);
             let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
-        }
-        let (buses, stopping) = (self.buses.each_mut(), Cell::new(M));
+            (bus, kind)
+        });
+        let stopping = Cell::new(M);
         let is_over = || stopping.get() == 0;
-        block_on(join_array(buses.map(async |bus: &mut &mut R| {
+        block_on(join_array(buses.map(async |(bus, kind): (&mut &mut R, StopKind)| {
             let mut bus = Polled(&mut **bus);
             let unconfirmed = bus.stop_all(kind, MotorSet::EMPTY).await;
             stopping.set(stopping.get() - 1);

@@ -250,7 +250,7 @@ fn of_two_the_first_is_cut(
     }
     cut(&mut cans[0].state());
     let begun = buses[1].now();
-    leave(Guards::new(buses.each_mut(), StopKind::Hold));
+    leave(Guards::new(buses.each_mut(), [StopKind::Hold; 2]));
     assert_eq!(cans[1].commands().last(), Some(&Stop.encode()));
     for bus in &mut buses {
         assert_eq!(bus.set_point(id(1), torque()), Err(refused()));
@@ -281,6 +281,21 @@ fn guards_of_several_buses_do_not_wait_for_each_other() {
     }
 }
 
+#[test]
+fn guards_stop_each_bus_in_its_own_way() {
+    let clock = TestClock::default();
+    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
+    let mut buses =
+        cans.clone().map(|can| CanMaster::<_, _, 4>::new(can, clock.clone(), Config::CAN));
+    for bus in &mut buses {
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    let kinds = [StopKind::Off, StopKind::Hold];
+    assert_eq!(Guards::new(buses.each_mut(), kinds).finish(), [MotorSet::EMPTY; 2]);
+    let stops = [Shutdown.encode(), Stop.encode()];
+    assert_eq!(cans.map(|can| can.commands().last().copied()), stops.map(Some));
+}
+
 /// The limits of the move say that it ends with the motor off, but another stop holds the motor.
 #[test]
 fn refused_move_does_not_switch_off_a_held_motor() {
@@ -302,7 +317,7 @@ fn clock_that_panics_leaves_the_other_buses_stopped() {
     for bus in &mut buses {
         bus.ask(id(1), ReadMultiTurnAngle).unwrap();
     }
-    let guards = Guards::new(buses.each_mut(), StopKind::Hold);
+    let guards = Guards::new(buses.each_mut(), [StopKind::Hold; 2]);
     PANICS.set(true);
     catch_unwind(AssertUnwindSafe(|| guards.finish())).unwrap_err();
     assert_eq!(buses[1].set_point(id(1), torque()), Err(refused()));
@@ -388,7 +403,7 @@ fn line_stops_in(is_alone: bool) -> Duration {
     let begun = clock.now();
     let unconfirmed = match is_alone {
         true => [MotorSet::EMPTY, lines[1].stop_all(StopKind::Hold, MotorSet::EMPTY)],
-        false => Guards::new(lines.each_mut(), StopKind::Hold).finish(),
+        false => Guards::new(lines.each_mut(), [StopKind::Hold; 2]).finish(),
     };
     assert_eq!(unconfirmed, [MotorSet::EMPTY, id(9).into()]);
     clock.now() - begun
