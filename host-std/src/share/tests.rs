@@ -1149,3 +1149,27 @@ fn panic_of_the_bus_stops_the_motors_and_is_returned() {
     drop(bus);
     assert_eq!(packets(&log).last().map(|packet| packet.data[0]), Some(0x81));
 }
+
+/// On a line that two streams fill.
+#[test]
+fn a_motor_that_holds_is_asked_on_a_full_line() {
+    let fleet = Fleet::new(3).on_rs485(115_200).unwrap();
+    let (port, clock) = (fleet.world.port(), fleet.world.clock());
+    let master = SerialMaster::<_, _, 8>::new(port, clock, Config::rs485(115_200, false));
+    let world = fleet.world.clone().in_real_time();
+    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    for motor in 1..=3 {
+        bus.ask(id(motor), ReadStatus1).unwrap();
+    }
+    bus.protect(id(3), Milliseconds::from_raw(300)).unwrap();
+    assert!(bus.stop(id(3), StopKind::Hold).unwrap().is_empty());
+    let begun = time::Instant::now();
+    while begun.elapsed() < time::Duration::from_millis(1_000) {
+        for motor in [1, 2] {
+            bus.set_point(id(motor), turn(30.0)).unwrap();
+        }
+        thread::sleep(time::Duration::from_millis(1));
+        let state = fleet.drives[2].with(|drive| drive.state());
+        assert!(!state.communication_lost, "after {:?}", begun.elapsed());
+    }
+}

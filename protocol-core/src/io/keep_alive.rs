@@ -14,9 +14,9 @@ use crate::time::{Duration, Instant};
 
 /// How long a motor may be sent nothing before it is asked. A function that works with a motor speaks to it as often.
 const LONGEST_REST: Duration = Duration::from_millis(20);
-/// The same for one that is silent. Its line may have been out for a moment, but on RS485 each question to a dead motor
-/// takes a time-out.
-const LONGEST_REST_OF_SILENT: Duration = Duration::from_millis(100);
+/// The same for one that is silent, and on RS485 while anything but a stop waits for the line. The line may have been out
+/// for a moment, but each question to a dead motor takes a time-out; and a load may fall that is to be looked at.
+const LONGER_REST: Duration = Duration::from_millis(100);
 /// A stop that takes no longer than this is over before anybody is asked.
 const SHORT_STOP: Duration = Duration::from_millis(5);
 
@@ -74,20 +74,22 @@ impl KeepAlive {
     }
 
     /// Asks those of these motors that were sent nothing for 20 ms, or for 100 ms if they are silent. On RS485, asks
-    /// one at a time, and none while anything but a stop waits for the line: a load may fall that is to be looked at.
+    /// one at a time, also after 100 ms while anything but a stop waits for the line.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
-        let most = match master.config().is_rs485() {
-            _ if now < self.rests_until => 0,
-            true if master.sends_more_than_stops(now) => 0,
-            true => 1,
-            false => N,
+        if now < self.rests_until {
+            return;
+        }
+        let (most, rest) = match master.config().is_rs485() {
+            true if master.sends_more_than_stops(now) => (1, LONGER_REST),
+            true => (1, LONGEST_REST),
+            false => (N, LONGEST_REST),
         };
         let once = match self.is_stopping {
             true => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
             false => master.patience(1),
         };
         while self.asked.len() < most {
-            let resting = master.longest_resting(motors, now, LONGEST_REST, LONGEST_REST_OF_SILENT);
+            let resting = master.longest_resting(motors, now, rest, LONGER_REST);
             let Some(motor) = resting else { return };
             if master.put_request(motor, &ReadRunTime, Some(once)).is_err() {
                 return;
