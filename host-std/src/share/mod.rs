@@ -45,12 +45,13 @@
 //!
 //! # Before it is shared
 //! [`bring_up`](myactuator_protocol_core::io::bring_up) needs a [`Runner`](myactuator_protocol_core::io::Runner), which
-//! a handle is not. A handle itself offers only brakes, watched moves, protection and restarts:
+//! a handle is not. A handle itself offers what robots that run need:
+//! [`wait_until_there`](SharedBus::wait_until_there), [`identify`](SharedBus::identify),
 //! [`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
 //! [`check_brake`](SharedBus::check_brake), [`wait_until_stands`](SharedBus::wait_until_stands),
 //! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and [`restart`](SharedBus::restart). Do the rest
-//! (first contact, zeroing, another id) on the master, and share it then. Open brakes after that: the bus does not know
-//! which motors [hold](self#motors-that-hold) since before.
+//! (scans, zeroing, another id) on the master, and share it then. Open brakes after that: the bus does not know which
+//! motors [hold](self#motors-that-hold) since before.
 //!
 //! [`SharedBus::new`] takes any master; its calls wait for up to 1 ms more than those of [`SharedBus::open`]. If you
 //! open the port yourself, and so have its clock, [`with_wake`](SharedBus::with_wake) avoids that.

@@ -8,7 +8,8 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::CallError;
 use myactuator_protocol_core::io::async_bring_up::{self, Calls};
 use myactuator_protocol_core::io::bring_up::{
-    BringUpError, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, Protection,
+    BringUpError, Identity, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived,
+    Protection,
 };
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -21,6 +22,28 @@ use super::state::Past;
 use super::{SharedBus, SharedBusError};
 
 impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
+    /// Waits until a motor answers, after power-on for example, as
+    /// [`bring_up::wait_until_there`](myactuator_protocol_core::io::bring_up::wait_until_there) does.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn wait_until_there(
+        &self,
+        motor: MotorId,
+        time: Duration,
+    ) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::wait_until_there(&mut Way::on(self, motor), motor, time))
+    }
+
+    /// Reads what identifies a motor, and its state, as
+    /// [`bring_up::identify`](myactuator_protocol_core::io::bring_up::identify) does.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn identify(&self, motor: MotorId) -> Result<Identity, CallError<SharedBusError<E>>> {
+        block_on(async_bring_up::identify(&mut Way::on(self, motor), motor))
+    }
+
     /// Moves a motor to an angle, or by one, and watches it until it stands there, as
     /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Meanwhile other threads may move
     /// other motors.
@@ -294,6 +317,26 @@ mod tests {
             max_speed: MaxSpeed::from_dps(dps).unwrap(),
             angle: Angle::from_degrees(degrees).unwrap(),
         }
+    }
+
+    #[test]
+    fn motor_is_awaited_and_identified() {
+        let (fleet, bus) = shared(1);
+        let station = fleet.drives[0].station();
+        fleet.world.cut(station);
+        let absent = bus.wait_until_there(id(1), Duration::from_millis(50)).unwrap_err();
+        assert!(matches!(absent, BringUpError::NotThere(motor) if motor == id(1)), "{absent}");
+        thread::scope(|scope| {
+            let waiting = scope.spawn(|| bus.wait_until_there(id(1), Duration::from_secs(60)));
+            thread::sleep(time::Duration::from_millis(100));
+            assert!(!waiting.is_finished());
+            fleet.world.mend(station);
+            waiting.join().unwrap().unwrap();
+        });
+        assert_eq!(
+            bus.identify(id(1)).unwrap().model,
+            Some(bus.ask(id(1), ReadModel).unwrap().model)
+        );
     }
 
     fn go_on(_: &MoveProgress) -> ControlFlow<()> {
