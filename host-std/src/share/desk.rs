@@ -145,6 +145,17 @@ impl<E> Desk<E> {
         Ok(())
     }
 
+    /// Lifts every stop if so many were called for. Returns whether it has.
+    pub(super) fn lift_stop_if(&self, stops: u64) -> Result<bool, SharedBusError<E>> {
+        let mut state = self.lock();
+        let is_newest = state.stops == stops;
+        if is_newest {
+            state.order(Order::LiftStop)?;
+            self.leave(state);
+        }
+        Ok(is_newest)
+    }
+
     /// Stops all motors. The answer is those that have not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
         let (answer, waiting) = Waiting::new();

@@ -325,16 +325,45 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Accepts again what is refused since [`stop_all`](Self::stop_all) or [`stop`](Self::stop). Does not
     /// wait.
     ///
-    /// **It lifts every stop, of any thread**, also one that came after your own, for example because somebody has
-    /// pressed a button. Have one place in a program that lifts stops, and knows of all reasons for them.
+    /// **It lifts every stop, of any thread**, also one that came a moment before, for example because somebody has
+    /// pressed a button: [`lift_stop_if`](Self::lift_stop_if) does not. Have one place in a program that lifts stops,
+    /// and knows of all reasons for them.
     ///
-    /// **A control loop that puts no set-point between the stop and this does not notice the stop**, and moves the
-    /// motors on. Wait until its thread has left before you lift the stop.
+    /// **A control loop that neither looks by a [`Watch`](super::Watch) nor puts a set-point between the stop and this
+    /// does not notice the stop**, and moves the motors on. Wait until its thread has left before you lift the stop.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
         self.desk().order(Order::LiftStop)
+    }
+
+    /// As [`lift_stop`](Self::lift_stop), unless a stop was called for since [`stop_count`](Self::stop_count) was this.
+    /// Returns whether it has lifted all stops.
+    ///
+    /// ```
+    /// # use myactuator_host_std::open::BusAddress;
+    /// # use myactuator_host_std::protocol::master::{MotorSet, StopKind};
+    /// # use myactuator_host_std::share::SharedBus;
+    /// # let bus = SharedBus::open(&"sim:2".parse::<BusAddress>()?, StopKind::Hold)?;
+    /// # drop(bus.stop_all(StopKind::Hold, MotorSet::EMPTY)?);
+    /// // Somebody says that the robot may go on.
+    /// let stops = bus.stop_count();
+    /// // Look at the motors here. Meanwhile the button is pressed again.
+    /// bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY);
+    /// assert!(!bus.lift_stop_if(stops)?, "it stays stopped");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`].
+    pub fn lift_stop_if(&self, stop_count: u64) -> Result<bool, SharedBusError<E>> {
+        self.desk().lift_stop_if(stop_count)
+    }
+
+    /// How many stops were called for so far, of one motor or of all, by whatever thread. Does not wait.
+    pub fn stop_count(&self) -> u64 {
+        self.desk().lock().stops
     }
 
     /// Accepts again what this motor is refused since [`stop`](Self::stop), **whichever thread has called that**. Only

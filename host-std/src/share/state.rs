@@ -88,6 +88,8 @@ pub(super) struct State<E> {
     pub(super) slots: [Slot; MotorId::COUNT],
     stops_all: bool,
     stopped: MotorSet,
+    /// How many stops were called for.
+    pub(super) stops: u64,
     /// These were switched off by a stop that is in force: a command that holds does not switch them on.
     pub(super) switched_off: MotorSet,
     /// These were reported to have restarted, and were not resumed.
@@ -161,6 +163,7 @@ impl<E> State<E> {
             slots: std::array::from_fn(|_| Slot::default()),
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            stops: 0,
             switched_off: MotorSet::EMPTY,
             restarted: MotorSet::EMPTY,
             moving: MotorSet::EMPTY,
@@ -337,11 +340,13 @@ impl<E> State<E> {
         match order {
             Order::StopAll { kind, .. } => {
                 self.stops_all = true;
+                self.stops += 1;
                 self.watches.iter_mut().for_each(Watched::end);
                 self.drop_what_is_stopped(MotorSet::ALL, kind);
             }
             Order::Stop { motor, kind, .. } => {
                 self.stopped.insert(motor);
+                self.stops += 1;
                 self.drop_what_is_stopped(motor.into(), kind);
             }
             Order::LiftStop => {

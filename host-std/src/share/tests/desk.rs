@@ -569,6 +569,28 @@ fn restart_reported_while_its_resumption_waits_blocks_nothing() {
     assert!(desk.set_point(id(1), Untyped::of(&turn(1.0))).is_ok());
 }
 
+/// Somebody presses a button just before.
+#[test]
+fn a_stop_is_not_lifted_by_whoever_knows_only_of_those_before() {
+    let stops: [fn(&Desk<CanError>); 2] = [
+        |desk| drop(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
+        |desk| drop(desk.stop(id(2), StopKind::Hold, None)),
+    ];
+    for stop in stops {
+        let desk = new_desk();
+        stop(&desk);
+        let known = desk.lock().stops;
+        stop(&desk);
+        assert!(!desk.lift_stop_if(known).unwrap());
+        let set_point = || desk.set_point(id(2), Untyped::of(&turn(1.0)));
+        tells(&set_point().unwrap_err(), 2, RequestError::Stopped);
+        let known = desk.lock().stops;
+        assert!(desk.lift_stop_if(known).unwrap());
+        assert!(set_point().is_ok());
+        assert_eq!(taken(&desk).last(), Some(&set(2, 1.0)));
+    }
+}
+
 #[test]
 fn a_loop_that_is_late_drops_what_it_has_laid_down() {
     let desk = new_desk();
