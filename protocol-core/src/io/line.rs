@@ -96,7 +96,7 @@ impl Line {
         now: Instant,
     ) {
         master.handle_transmitted(now);
-        master.note_line_echoes(self.echoes.is_echoing());
+        master.note_echo(self.echoes.is_echoing());
         self.echoes.sent(frame, now);
         if !is_whole {
             self.echoes.show_nothing();

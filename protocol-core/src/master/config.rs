@@ -180,7 +180,7 @@ impl Config {
         matches!(self.bus, Bus::Rs485 { .. })
     }
 
-    /// RS485: whether the caller has said that the adapter echoes.
+    /// RS485: whether the adapter echoes, as far as is known.
     pub(crate) const fn echoes(&self) -> bool {
         matches!(self.bus, Bus::Rs485 { echo: true, .. })
     }

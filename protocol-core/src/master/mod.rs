@@ -226,7 +226,7 @@ pub struct Master<const N: usize> {
     motors: [Motor; N],
     places: Places,
     broadcast: Broadcast,
-    /// With the time-outs that hold now.
+    /// With what holds now: time-outs, and an echo that was found.
     config: Config,
     /// `None` if the time-outs do not change.
     round_trips: Option<RoundTrips>,
@@ -265,8 +265,6 @@ pub struct Master<const N: usize> {
     looked_ticket: u32,
     /// RS485: how often bytes came that are no frame.
     garbled: u32,
-    /// RS485: the adapter echoes, as far as is known.
-    line_echoes: bool,
     /// Until then the time alone gives no motor anything to do.
     due: Instant,
     /// CAN: until when the frames that were sent keep the bus busy, or when one was last received. RS485: when the line
@@ -292,7 +290,6 @@ impl<const N: usize> Master<N> {
             motors: [Motor::default(); N],
             places: Places::default(),
             broadcast: Broadcast::default(),
-            line_echoes: config.echoes(),
             config,
             round_trips,
             offer: None,
@@ -413,7 +410,7 @@ impl<const N: usize> Master<N> {
         })
     }
 
-    /// Its configuration, with the time-outs that hold now.
+    /// Its configuration, with the time-outs that hold now. `echo` is also set if the loop has found an echo.
     pub const fn config(&self) -> &Config {
         &self.config
     }
@@ -424,9 +421,11 @@ impl<const N: usize> Master<N> {
         self.garbled
     }
 
-    /// RS485: whether the adapter was found to echo.
-    pub(crate) fn note_line_echoes(&mut self, echoes: bool) {
-        self.line_echoes = echoes;
+    /// RS485: whether the adapter echoes, as far as is known.
+    pub(crate) fn note_echo(&mut self, echoes: bool) {
+        if let Bus::Rs485 { echo, .. } = &mut self.config.bus {
+            *echo = echoes;
+        }
     }
 
     pub(crate) fn note_garbled(&mut self) {

@@ -583,6 +583,7 @@ mod tests {
             let (port, clock) = (fleet.world.port(), fleet.world.clock());
             let master = SerialMaster::new(port, clock, Config::rs485(115_200, true));
             let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+            session.address = "rs485:/dev/ttyUSB0@115200,echo".parse().unwrap();
             let Err(Unfinished::Failed(message)) = halt(&mut session, meant, StopKind::Hold) else {
                 panic!("its answer is the same bytes as the echo");
             };

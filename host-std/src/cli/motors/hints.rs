@@ -4,7 +4,7 @@ use myactuator_host_std::open::{BusAddress, BusError};
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::bring_up::BringUpError;
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Bus, Failure};
+use myactuator_protocol_core::master::Failure;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::session::Session;
@@ -140,9 +140,9 @@ impl Session {
 
     /// A likely cause of a missing answer if the address says ',echo': an answer that equals its command counts as the
     /// echo, even if the adapter does not echo.
-    pub(super) fn echo_told_of(&mut self) -> &'static str {
-        match self.master.master().config().bus {
-            Bus::Rs485 { echo: true, .. } => {
+    pub(super) const fn echo_told_of(&self) -> &'static str {
+        match self.address {
+            BusAddress::Rs485 { echo: true, .. } => {
                 " (if the adapter does not echo what it sends, leave out ',echo')"
             }
             _ => "",
@@ -221,6 +221,7 @@ mod tests {
         let config = Config::rs485(115_200, true);
         let master = SerialMaster::new(world.port(), world.clock(), config);
         let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+        session.address = "rs485:/dev/ttyUSB0@115200,echo".parse().unwrap();
         session.ask(MotorId::MIN, ReadStatus1).unwrap();
         let outcome = session.release_brake(MotorId::MIN);
         let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };

@@ -43,8 +43,6 @@ pub(crate) struct Heard<'a> {
     pub(crate) at: Instant,
     pub(crate) to_all: &'a mut Broadcast,
     pub(crate) lost_master: &'a mut MotorSet,
-    /// An answer may be an echo.
-    pub(crate) line_echoes: bool,
     /// Nothing was heard of the motor before.
     pub(crate) is_first: bool,
 }
@@ -246,7 +244,7 @@ impl Motor {
         }
         // The drive's last master may have gone before this one was there to hear of it. Then it has ignored this, too.
         // Where commands are echoed, equal answers might use up all attempts.
-        let may_be_ignored = is_echo && heard.is_first && !heard.line_echoes;
+        let may_be_ignored = is_echo && heard.is_first && !config.echoes();
         if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
             self.answered(None);
             asked.attempts_left = asked.attempts_left.saturating_add(1);
