@@ -143,6 +143,8 @@ pub(super) enum Order<E> {
     LiftStopOf(MotorId),
     Resume(MotorId),
     NoteRestart(MotorId),
+    /// It has arrived where one call has moved it.
+    NoteArrival(MotorId),
     Forget(MotorId),
     /// The answer comes no sooner than `until`, and is the time then.
     Wait {

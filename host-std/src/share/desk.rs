@@ -243,13 +243,22 @@ impl<E> Desk<E> {
         if !matches!(state.life, Life::Running) {
             return Err(state.last_words().into());
         }
-        let found = state.look(key, watch, kind);
+        let found = state.look(key, watch, kind, self.wakes());
         self.leave(state);
         found
     }
 
     pub(super) fn end_watch(&self, key: u64) {
         self.lock().watches.retain(|watched| watched.key != key);
+    }
+
+    /// The loop of the watch with this key has panicked.
+    pub(super) fn loop_panics(&self, key: u64) {
+        let mut state = self.lock();
+        if let Some(watched) = state.watches.iter_mut().find(|watched| watched.key == key) {
+            watched.panics();
+        }
+        self.leave(state);
     }
 
     /// The last handle was dropped.
@@ -362,7 +371,7 @@ impl<E> Desk<E> {
             }
         }
         state.hand_over_set_points(clerk);
-        clerk.keep_alive(state.at_work > 0, state.switched_off);
+        clerk.keep_alive(state.at_work > 0);
         matches!(state.life, Life::Running)
     }
 

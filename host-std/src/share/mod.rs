@@ -50,8 +50,8 @@
 //! [`release_brake`](SharedBus::release_brake), [`lock_brake`](SharedBus::lock_brake),
 //! [`check_brake`](SharedBus::check_brake), [`wait_until_stands`](SharedBus::wait_until_stands),
 //! [`move_to`](SharedBus::move_to), [`protect`](SharedBus::protect) and [`restart`](SharedBus::restart). Do the rest
-//! (scans, zeroing, another id) on the master, and share it then. Open brakes after that: the bus does not know which
-//! motors [hold](self#motors-that-hold) since before.
+//! (scans, zeroing, another id) on the master, and share it then. Open brakes and stop motors after that, or the bus
+//! does not know that they [hold](self#motors-that-hold).
 //!
 //! [`SharedBus::new`] takes any master; its calls wait for up to 1 ms more than those of [`SharedBus::open`]. If you
 //! open the port yourself, and so have its clock, [`with_wake`](SharedBus::with_wake) avoids that.
@@ -81,12 +81,19 @@
 //! [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
 //!
 //! # Motors that hold
-//! The thread of the bus speaks to a motor that was told to hold still, so that its communication-loss protection
-//! (0xB3) does not let its load fall: after a stop that holds, after [`release_brake`](SharedBus::release_brake), and
-//! after a [`Stop`](myactuator_protocol_core::command::Stop) (0x81). It does so until the motor is told to move, is
-//! switched off or has its brake locked. So a motor is held while its robot waits for a person or for another bus, and
-//! also if all other threads hang. A motor that was told to move is spoken to only by whoever moves it, so that its
-//! protection ends what a thread that hangs has begun.
+//! The thread of the bus speaks to a motor that holds still, at least every 100 ms, so that its communication-loss
+//! protection (0xB3) does not let its load fall: let that be 300 ms or more. A motor holds
+//!
+//! - after a stop that holds, of any thread, and after a [`Stop`](myactuator_protocol_core::command::Stop) (0x81);
+//! - after [`release_brake`](SharedBus::release_brake);
+//! - when a [`move_to`](SharedBus::move_to) has arrived;
+//!
+//! until it is told to move or is switched off, restarts, or reports an error. So a motor is held while its robot waits
+//! for a person or for another bus, and also if all other threads hang. A motor that was told to move is spoken to only
+//! by whoever moves it, so that its protection ends what a thread that hangs has begun. One that is off, or that reports
+//! an error, is left to its protection, which locks its brake.
+//!
+//! What motors do since before the bus was shared it does not know: stop them with a handle, then they hold.
 //!
 //! # A motor that restarts
 //! Its turns may be lost, so moves and set-points are refused from then on. [Subscriptions](Subscription) get
@@ -116,7 +123,7 @@
 //!   moves a motor until the bus works again. If it works again before any call got the error, the next call gets it. A
 //!   command that ends motion is accepted nevertheless. The thread goes on and tries again.
 //! - **The driver of the bus panics:** the motors are stopped, as far as the driver still works, and every call says so
-//!   from then on. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
+//!   from then on. Nobody speaks to them any more, so their protection lets their loads go. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
 //!   motors.
 //! - **The driver does not return:** after 2 s each call says so, and each stop counts as unconfirmed.
 

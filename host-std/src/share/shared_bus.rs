@@ -361,6 +361,11 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.desk().lift_stop_if(stop_count)
     }
 
+    /// Whether a motor is stopped, individually or with all, and that stop was not lifted. Does not wait.
+    pub fn is_stopped(&self, motor: MotorId) -> bool {
+        self.desk().lock().is_stopped(motor, None)
+    }
+
     /// How many stops were called for so far, of one motor or of all, by whatever thread. Does not wait.
     pub fn stop_count(&self) -> u64 {
         self.desk().lock().stops

@@ -91,7 +91,7 @@ pub(super) struct State<E> {
     /// How many stops were called for.
     pub(super) stops: u64,
     /// These were switched off by a stop that is in force: a command that holds does not switch them on.
-    pub(super) switched_off: MotorSet,
+    switched_off: MotorSet,
     /// These were reported to have restarted, and were not resumed.
     restarted: MotorSet,
     /// These are being moved, each by one call.
@@ -151,7 +151,10 @@ pub(super) trait Clerk<E> {
 
     /// Speaks to motors that were sent nothing for a while: to those that hold, and to others if a function that works
     /// with one motor waits for the bus.
-    fn keep_alive(&mut self, is_any_at_work: bool, switched_off: MotorSet);
+    fn keep_alive(&mut self, is_any_at_work: bool);
+
+    /// Whether a motor holds that nobody moves.
+    fn is_any_holding(&self) -> bool;
 }
 
 impl<E> State<E> {
@@ -225,7 +228,7 @@ impl<E> State<E> {
     }
 
     /// Whether a motor is stopped, or its motion was to be ended since `since`; `None` for a caller that begins now.
-    fn is_stopped(&self, motor: MotorId, since: Option<Past>) -> bool {
+    pub(super) fn is_stopped(&self, motor: MotorId, since: Option<Past>) -> bool {
         self.was_ended_since(motor, since) || self.stops_all || self.stopped.contains(motor)
     }
 
@@ -286,12 +289,14 @@ impl<E> State<E> {
         key: &mut Option<u64>,
         watch: &io::Watch,
         kind: StopKind,
+        is_real_time: bool,
     ) -> Result<(), LoopError<E>>
     where
         E: fmt::Debug + 'static,
     {
-        // A watch that has not begun begins at 0.
-        let longest = Duration::from(watch.late_after() - time::Instant::ZERO);
+        // A watch that has not begun begins at 0. Virtual time may take any time.
+        let silence = Duration::from(watch.late_after() - time::Instant::ZERO);
+        let longest = if is_real_time { silence } else { self.longest_round };
         self.check_taken_up_within(longest.min(self.longest_round))?;
         let key = *key.get_or_insert_with(|| {
             self.last_watch += 1;
@@ -313,10 +318,13 @@ impl<E> State<E> {
         for watched in &mut self.watches {
             is_any_late |= clerk.watch(watched);
         }
-        if is_any_late {
-            // What another loop is to hold may fall, and that loop may be late in a moment.
-            let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
-                || !self.stopped.without(self.switched_off).is_empty();
+        // What another loop is to hold may fall, and that loop may be late in a moment.
+        let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
+            || !self.stopped.without(self.switched_off).is_empty()
+            || clerk.is_any_holding();
+        self.watches.retain(|watched| !watched.has_panicked());
+        // A panic may come under a stop.
+        if is_any_late && !self.stops_all {
             let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
             let (answer, Waiting { asker, .. }) = Waiting::new();
             // It is refused only by a bus that has panicked. Nobody waits for it.
@@ -347,6 +355,7 @@ impl<E> State<E> {
             Order::Stop { motor, kind, .. } => {
                 self.stopped.insert(motor);
                 self.stops += 1;
+                self.watches.iter_mut().for_each(|watched| watched.is_stopped(motor));
                 self.drop_what_is_stopped(motor.into(), kind);
             }
             Order::LiftStop => {
@@ -365,7 +374,7 @@ impl<E> State<E> {
             }
             Order::NoteRestart(motor) => self.has_restarted(motor),
             Order::Forget(motor) => self.restarted.remove(motor),
-            Order::Wait { .. } => {}
+            Order::NoteArrival(_) | Order::Wait { .. } => {}
         }
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());

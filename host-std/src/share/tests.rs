@@ -6,16 +6,18 @@ mod watch;
 
 use std::any::Any;
 use std::fmt::{Debug, Display};
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, sync_channel};
 use std::sync::{Arc, Barrier};
 use std::{thread, time};
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, Command, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, ReleaseBrake,
-    Shutdown, Speed, Stop,
+    AbsolutePosition, Command, ErrorFlags, IncrementalPosition, MotionRanges, MotionSetPoint,
+    ReadMultiTurnAngle, ReadStatus1, ReleaseBrake, Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::bring_up::MoveLimits;
 use myactuator_protocol_core::io::{CallError, CanMaster, LONGEST_TURN, Runner, SerialMaster};
 use myactuator_protocol_core::master::{
     Bus, Config, Event, Failure, Master, MotorSet, Patience, StopKind,
@@ -337,23 +339,81 @@ fn has_let_go_after<const M: usize>(tell: [Tell; M]) -> [bool; M] {
 /// Whoever waits for a person, or for another bus to be ready, speaks to nobody.
 #[test]
 fn motors_that_hold_are_asked_until_they_are_told_otherwise() {
-    let turns: Tell = |bus| bus.set_point(id(1), turn(30.0)).unwrap();
-    let holds: [Tell; 4] = [
+    let holds: [Tell; 5] = [
+        |bus| {
+            let there = AbsolutePosition {
+                max_speed: MaxSpeed::from_dps(90.0).unwrap(),
+                angle: Angle::from_degrees(5.0).unwrap(),
+            };
+            let go_on = |_: &_| ControlFlow::Continue(());
+            bus.move_to(id(1), there, &MoveLimits::default(), go_on).unwrap();
+        },
         |bus| assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty()),
         |bus| assert!(bus.stop(id(1), StopKind::Hold).unwrap().is_empty()),
         |bus| bus.release_brake(id(1)).unwrap(),
         |bus| assert!(bus.ask(id(1), Stop).is_ok()),
     ];
-    for hold in holds {
+    let turns: [Tell; 2] = [
+        |bus| bus.set_point(id(1), turn(30.0)).unwrap(),
+        |bus| assert!(bus.ask(id(1), turn(30.0)).is_ok()),
+    ];
+    for (hold, turn) in holds.into_iter().zip(turns.into_iter().cycle()) {
         let lift: Tell = |bus| bus.lift_stop().unwrap();
-        assert_eq!(has_let_go_after([hold, lift, turns]), [false, false, true]);
+        assert_eq!(has_let_go_after([hold, lift, turn]), [false, false, true]);
     }
+}
+
+/// Its protection may lock a brake behind which nothing holds.
+#[test]
+fn a_motor_in_error_is_not_asked() {
+    let (fleet, bus) = shared(1);
+    assert!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap().is_empty());
+    let log = fleet.world.log();
+    thread::sleep(time::Duration::from_millis(500));
+    assert!(!packets(&log).is_empty());
+    fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    thread::sleep(time::Duration::from_millis(500));
+    log.take();
+    thread::sleep(time::Duration::from_millis(300));
+    assert_eq!(packets(&log), []);
+}
+
+/// They may hold a load: nobody knows.
+#[test]
+fn motors_that_were_told_nothing_are_asked_while_a_function_waits() {
+    let (fleet, bus) = shared(2);
+    bus.protect(id(2), Milliseconds::from_raw(300)).unwrap();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    bus.restart(id(1)).unwrap();
+    assert!(!fleet.drives[1].with(|drive| drive.state()).communication_lost);
+}
+
+/// It is not told, and does not move: its bus has no such command.
+#[test]
+fn a_set_point_that_is_refused_ends_no_holding() {
+    let fleet = Fleet::new(1).on_rs485(1_000_000).unwrap();
+    let (port, clock) = (fleet.world.port(), fleet.world.clock());
+    let master = SerialMaster::<_, _, 8>::new(port, clock, Config::rs485(1_000_000, false));
+    let world = fleet.world.clone().in_real_time();
+    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
+    bus.ask(id(1), Stop).unwrap();
+    let motion = MotionRanges::V4_3.quantise(&MotionSetPoint::default()).unwrap();
+    let _ = bus.set_point(id(1), motion);
+    thread::sleep(time::Duration::from_millis(500));
+    assert!(!fleet.drives[0].with(|drive| drive.state()).communication_lost);
 }
 
 /// It would keep a brake open behind which nothing holds.
 #[test]
 fn motors_that_are_off_are_not_asked() {
-    let off: [Tell; 3] = [
+    let off: [Tell; 4] = [
+        |bus| {
+            // It stays off, also when both are lifted.
+            assert!(bus.stop(id(1), StopKind::Off).unwrap().is_empty());
+            assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
+            bus.lift_stop().unwrap();
+        },
         |bus| assert!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap().is_empty()),
         |bus| {
             // It stays off.

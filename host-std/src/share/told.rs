@@ -6,13 +6,16 @@ use myactuator_protocol_core::{Kind, MotorId};
 /// What a motor was told last of its motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Last {
-    /// Nothing, or it has confirmed that it is off or that its brake locks.
+    /// Nothing, or its drive has let go since.
     #[default]
     Nothing,
+    /// By set-points, which only whoever puts them ends.
+    ToFollow,
+    /// By a command that it carries out alone.
     ToMove,
-    /// It has not confirmed this yet: it may go on moving.
+    /// To be off, or to hold, which it has not confirmed yet: it may go on moving.
     ToStop(StopKind),
-    /// It has confirmed that it holds still.
+    /// It has confirmed that it holds still, or has arrived.
     ToHold,
 }
 
@@ -21,27 +24,50 @@ enum Last {
 pub(super) struct Told([Last; MotorId::COUNT]);
 
 impl Told {
+    pub(super) fn follows(&mut self, motor: MotorId) {
+        self.0[motor.index()] = Last::ToFollow;
+    }
+
     pub(super) fn moves(&mut self, motor: MotorId) {
         self.0[motor.index()] = Last::ToMove;
     }
 
-    pub(super) fn stops(&mut self, motors: MotorSet, kind: StopKind) {
-        motors.iter().for_each(|motor| self.0[motor.index()] = Last::ToStop(kind));
+    /// It has arrived where it was told to move, unless it was told something else since.
+    pub(super) fn has_arrived(&mut self, motor: MotorId) {
+        self.change(motor, Last::ToMove, Last::ToHold);
     }
 
-    /// Told by a command that ends motion. A locked brake holds without the motor.
+    /// A motor that holds already goes on, whether or not it confirms that again.
+    pub(super) fn stops(&mut self, motors: MotorSet, kind: StopKind) {
+        for motor in motors.iter() {
+            let last = &mut self.0[motor.index()];
+            if (*last, kind) != (Last::ToHold, StopKind::Hold) {
+                *last = Last::ToStop(kind);
+            }
+        }
+    }
+
+    /// Told by a command that ends motion. A motor whose brake is told to lock holds until then, or has none.
     pub(super) fn ends_motion(&mut self, motor: MotorId, by: Kind) {
-        self.stops(motor.into(), StopKind::by(by).unwrap_or(StopKind::Off));
+        self.stops(motor.into(), StopKind::by(by).unwrap_or(StopKind::Hold));
     }
 
     /// It has confirmed what ends its motion. That says nothing of what it was told since.
     pub(super) fn confirmed(&mut self, motor: MotorId) {
+        self.change(motor, Last::ToStop(StopKind::Hold), Last::ToHold);
+    }
+
+    /// Its drive has restarted, lost its master or reports an error: it holds nothing, and its protection (0xB3) is to
+    /// lock its brake.
+    pub(super) fn lets_go(&mut self, motor: MotorId) {
+        self.change(motor, Last::ToHold, Last::Nothing);
+    }
+
+    fn change(&mut self, motor: MotorId, from: Last, to: Last) {
         let last = &mut self.0[motor.index()];
-        *last = match *last {
-            Last::ToStop(StopKind::Hold) => Last::ToHold,
-            Last::ToStop(StopKind::Off) => Last::Nothing,
-            other => other,
-        };
+        if *last == from {
+            *last = to;
+        }
     }
 
     /// Those that hold still until they are told otherwise.
@@ -49,12 +75,70 @@ impl Told {
         self.with(|last| last == Last::ToHold)
     }
 
-    /// Those that may be moving.
-    pub(super) fn may_move(&self) -> MotorSet {
-        self.with(|last| matches!(last, Last::ToMove | Last::ToStop(_)))
+    /// Those that may be moving, or are off. Their protection ends what a thread that hangs has begun, or locks a brake
+    /// behind which nothing holds.
+    pub(super) fn left_alone(&self) -> MotorSet {
+        self.with(|last| !matches!(last, Last::Nothing | Last::ToHold))
     }
 
     fn with(&self, is_it: impl Fn(Last) -> bool) -> MotorSet {
         MotorId::all().filter(|motor| is_it(self.0[motor.index()])).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_protocol_core::Opcode;
+
+    use super::*;
+
+    const MOTOR: MotorId = MotorId::MIN;
+
+    #[test]
+    fn a_motor_holds_until_it_is_told_otherwise_or_lets_go() {
+        type Step = fn(&mut Told);
+        let follows: Step = |told| told.follows(MOTOR);
+        let moves: Step = |told| told.moves(MOTOR);
+        let arrives: Step = |told| told.has_arrived(MOTOR);
+        let is_to_hold: Step = |told| told.stops(MOTOR.into(), StopKind::Hold);
+        let is_to_be_off: Step = |told| told.stops(MOTOR.into(), StopKind::Off);
+        let locks: Step = |told| told.ends_motion(MOTOR, Opcode::LockBrake.into());
+        let stops: Step = |told| told.ends_motion(MOTOR, Opcode::Stop.into());
+        let shuts_down: Step = |told| told.ends_motion(MOTOR, Opcode::Shutdown.into());
+        let confirms: Step = |told| told.confirmed(MOTOR);
+        let lets_go: Step = |told| told.lets_go(MOTOR);
+        // Whether it then holds, and whether it is left alone.
+        let (holds, is_left_alone, neither) = ((true, false), (false, true), (false, false));
+        let cases: &[(&[Step], (bool, bool))] = &[
+            (&[], neither),
+            (&[confirms], neither),
+            (&[follows], is_left_alone),
+            (&[moves], is_left_alone),
+            (&[moves, arrives], holds),
+            (&[moves, follows, arrives], is_left_alone),
+            (&[moves, lets_go], is_left_alone),
+            (&[is_to_hold], is_left_alone),
+            (&[is_to_hold, arrives], is_left_alone),
+            (&[is_to_hold, confirms], holds),
+            (&[is_to_hold, follows, confirms], is_left_alone),
+            (&[is_to_hold, confirms, is_to_hold], holds),
+            (&[is_to_hold, confirms, stops], holds),
+            (&[is_to_hold, confirms, moves], is_left_alone),
+            (&[is_to_hold, confirms, is_to_be_off], is_left_alone),
+            (&[is_to_hold, confirms, shuts_down], is_left_alone),
+            (&[is_to_hold, confirms, lets_go], neither),
+            (&[is_to_hold, confirms, lets_go, confirms], neither),
+            (&[is_to_be_off, confirms], is_left_alone),
+            (&[is_to_be_off, confirms, is_to_hold, confirms], holds),
+            (&[locks, confirms], holds),
+            (&[stops, confirms], holds),
+            (&[shuts_down, confirms], is_left_alone),
+        ];
+        for (number, (steps, expected)) in cases.iter().enumerate() {
+            let mut told = Told::default();
+            steps.iter().for_each(|step| step(&mut told));
+            let is_in = |motors: MotorSet| motors.contains(MOTOR);
+            assert_eq!((is_in(told.holding()), is_in(told.left_alone())), *expected, "{number}");
+        }
     }
 }

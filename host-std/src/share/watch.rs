@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::{self, Trouble};
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -17,12 +18,12 @@ use crate::open::BusError;
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
 /// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has looked
-/// is to hold its motors, or another motor is held by a stop of its own, else switched off. The stop latches. The same
+/// is to hold its motors, or a motor [holds](super#motors-that-hold) that nobody moves, else switched off. The stop latches. The same
 /// happens if the driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases
 /// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
 ///
-/// **A stop of all, by whoever, ends the watch:** from then on each look says so, even if the stop was lifted meanwhile.
-/// So a loop that has not seen the stop does not go on behind it.
+/// **A stop of all, or of one of its motors, by whoever, ends the loop:** from then on each look says so, even if the
+/// stop was lifted meanwhile. So a loop that has not seen the stop does not go on behind it.
 ///
 /// ```
 /// use myactuator_host_std::protocol::command::Speed;
@@ -55,7 +56,7 @@ use crate::open::BusError;
 /// ```
 ///
 /// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
-/// a [`move_to`](super::SharedBus::move_to): drop it. If a panic drops it, all motors are stopped. Make a new one when
+/// a [`move_to`](super::SharedBus::move_to): drop it. If a panic drops it after its first look, all motors are stopped as by a loop that hangs. Make a new one when
 /// the set of motors changes, after trouble and after a stop. It is no handle: it does not keep the bus running.
 ///
 /// A watch of no motors watches only its thread, whatever that does.
@@ -101,7 +102,7 @@ impl<E: fmt::Debug + 'static> Watch<E> {
     ///
     /// # Errors
     /// - [`Trouble`]: what was found first, at each look from then on.
-    /// - [`LoopError::Stopped`]: all motors are stopped, or were since the first look.
+    /// - [`LoopError::Stopped`]: all motors are stopped, or all or one of these were since the first look.
     /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for the
     ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter. Until it comes back nothing is sent.
     /// - [`SharedBusError::Panicked`](super::SharedBusError::Panicked): it has ended.
@@ -113,12 +114,11 @@ impl<E: fmt::Debug + 'static> Watch<E> {
 
 impl<E> Drop for Watch<E> {
     fn drop(&mut self) {
-        let Some(key) = self.key else { return };
-        if std::thread::panicking() {
-            // It is refused only by a bus that has panicked itself.
-            let _ = self.desk.stop_all(self.kind, MotorSet::EMPTY);
+        match self.key {
+            Some(key) if std::thread::panicking() => self.desk.loop_panics(key),
+            Some(key) => self.desk.end_watch(key),
+            None => {}
         }
-        self.desk.end_watch(key);
     }
 }
 
@@ -136,6 +136,16 @@ enum Course {
     Watches,
     /// All motors were stopped: the loop moves nothing, and need not look.
     Over,
+    /// The loop has panicked, and its handle is gone.
+    Panicked,
+}
+
+/// What the loop has to know.
+#[derive(Clone, Copy, Debug)]
+enum Found {
+    Trouble(Trouble),
+    /// All motors were stopped, or one of those that are watched.
+    Stopped,
 }
 
 /// What the thread of the bus has of a watch.
@@ -148,7 +158,7 @@ pub(super) struct Watched {
     course: Course,
     /// The loop has looked, and the thread has not.
     is_due: bool,
-    found: Option<Trouble>,
+    found: Option<Found>,
 }
 
 impl Watched {
@@ -161,8 +171,8 @@ impl Watched {
     pub(super) fn is_looked_at<E: fmt::Debug>(&mut self) -> Result<(), LoopError<E>> {
         self.is_due = self.course != Course::Over;
         match self.found {
-            Some(trouble) => Err(trouble.into()),
-            None if self.course == Course::Over => Err(LoopError::Stopped),
+            Some(Found::Trouble(trouble)) => Err(trouble.into()),
+            Some(Found::Stopped) => Err(LoopError::Stopped),
             None => Ok(()),
         }
     }
@@ -173,12 +183,35 @@ impl Watched {
 
     /// All motors are stopped.
     pub(super) fn end(&mut self) {
-        (self.course, self.is_due) = (Course::Over, false);
+        if !self.has_panicked() {
+            self.course = Course::Over;
+        }
+        self.is_due = false;
+        self.found.get_or_insert(Found::Stopped);
     }
 
-    /// The thread looks if the loop has looked, or is late. True once when it is late: then all motors are to be
-    /// stopped.
+    /// A motor is stopped. The loop has to know, and to leave: until then the others may move.
+    pub(super) fn is_stopped(&mut self, motor: MotorId) {
+        if self.watch.motors().contains(motor) {
+            self.found.get_or_insert(Found::Stopped);
+        }
+    }
+
+    /// The loop has panicked.
+    pub(super) fn panics(&mut self) {
+        self.course = Course::Panicked;
+    }
+
+    pub(super) fn has_panicked(&self) -> bool {
+        self.course == Course::Panicked
+    }
+
+    /// The thread looks if the loop has looked, or is late. True once when it is late or has panicked: then all motors
+    /// are to be stopped.
     pub(super) fn look<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
+        if self.has_panicked() {
+            return true;
+        }
         let has_looked = std::mem::take(&mut self.is_due);
         // It begins. Or it was told of trouble, and may hang before it has left.
         if has_looked && (self.course == Course::NotBegun || self.found.is_some()) {
@@ -187,7 +220,7 @@ impl Watched {
         }
         let is_late = self.late_after().is_some_and(|time| now > time);
         if self.found.is_none() && (has_looked || is_late) {
-            self.found = self.watch.look(master, now).err();
+            self.found = self.watch.look(master, now).err().map(Found::Trouble);
         }
         if is_late {
             self.end();

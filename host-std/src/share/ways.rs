@@ -88,13 +88,11 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         let Some(_moving) = self.desk().begin_move(motor) else {
             return Err(NotArrived { motor, why: MoveFailure::UnderWay, is_stopped: false });
         };
-        block_on(async_bring_up::move_to(
-            &mut Way::on(self, motor),
-            motor,
-            command,
-            limits,
-            on_look,
-        ))
+        let mut way = Way::on(self, motor);
+        let arrived = block_on(async_bring_up::move_to(&mut way, motor, command, limits, on_look))?;
+        // If the thread has ended, nobody is asked any more.
+        let _ = self.desk().order(Order::NoteArrival(motor));
+        Ok(arrived)
     }
 
     /// Opens a motor's brake while the motor holds, and waits until it is open, as
@@ -145,8 +143,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 
     /// Sets after how long without a command a motor stops on its own (0xB3), as
     /// [`bring_up::protect`](myactuator_protocol_core::io::bring_up::protect) does. A command of any thread counts.
-    /// While a function here waits, the bus asks the other motors, except those that were told to move since they were
-    /// last stopped: whoever moves them may hang.
+    /// While a function here waits, the bus asks the other motors, except those that may be moving, since whoever moves
+    /// them may hang, and those that are off.
     ///
     /// # Errors
     /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
@@ -163,9 +161,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// other thread move the motor. After the restart all threads are refused what moves it. Read its angle, since
     /// whole turns may be lost, [`resume`](Self::resume), and open its brake again.
     ///
-    /// **For 2 s nothing is sent to the motor, and a question of another thread to it waits for as long.** A thread that
-    /// keeps protected motors from letting go must leave this one out meanwhile: an `ask_together` that names it would
-    /// leave all others unasked, and their loads fall.
+    /// **For 2 s nothing is sent to the motor, and a question of another thread to it waits for as long**, also an
+    /// `ask_together` that names it beside others.
     ///
     /// ```
     /// # use myactuator_host_std::open::BusAddress;

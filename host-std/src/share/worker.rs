@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time;
 
+use myactuator_protocol_core::command::{AnyReply, Command, ReadStatus1};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
@@ -33,7 +34,9 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         runner,
         asked: Vec::new(),
         stopping: Vec::new(),
-        keep_alive: None,
+        at_work: None,
+        holding: KeepAlive::new(),
+        to_forget: MotorSet::EMPTY,
         is_any_waiting: false,
         told: Told::default(),
         waiting: Vec::new(),
@@ -75,6 +78,18 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     desk.end();
 }
 
+/// The motor of which this says that its drive reports an error.
+fn in_error(event: &Event) -> Option<MotorId> {
+    let (motor, status) = match event {
+        Event::Report { motor, reply: AnyReply::ReadStatus1(status) } => (*motor, *status),
+        Event::Reply { ticket, data, .. } => {
+            (ticket.motor(), ReadStatus1::decode_reply(data).ok()?)
+        }
+        _ => return None,
+    };
+    (!status.errors.is_empty()).then_some(motor)
+}
+
 /// The message of a panic.
 fn words(payload: &(dyn Any + Send)) -> Arc<str> {
     let text = payload.downcast_ref::<&str>().copied();
@@ -86,9 +101,12 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// Motors that hold are asked; while a stop or a function waits for one motor, all are. But not those that may be
-    /// moving: only whoever moves them keeps them alive, and may hang.
-    keep_alive: Option<KeepAlive>,
+    /// While a stop or a function waits for one motor, all are asked but those that are [left alone](Told::left_alone).
+    at_work: Option<KeepAlive>,
+    /// Otherwise those that hold.
+    holding: KeepAlive,
+    /// These are to be forgotten once they are not spoken to.
+    to_forget: MotorSet,
     /// A stop, or a function that works with one motor, waits.
     is_any_waiting: bool,
     told: Told,
@@ -138,6 +156,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
         (self.turn_ends, self.late_after) = (None, None);
         self.withdraw_what_was_given_up();
+        self.forget();
         let taken_at = self.runner.now();
         let goes_on = desk.take(self);
         self.taken_at = taken_at;
@@ -173,6 +192,11 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         });
     }
 
+    fn forget(&mut self) {
+        let master = self.runner.master();
+        self.to_forget = self.to_forget.iter().filter(|&motor| !master.forget(motor)).collect();
+    }
+
     /// Hands an event to all that it concerns.
     fn tell(&mut self, event: &Event, desk: &Desk<R::Error>) {
         // Unless it was resumed already.
@@ -186,11 +210,16 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
                 self.told.confirmed(ticket.motor());
             }
+            Event::Restarted { motor } | Event::LostMaster { motor } => self.told.lets_go(motor),
             _ => {}
+        }
+        if let Some(motor) = in_error(event) {
+            self.told.lets_go(motor);
         }
         desk.note(event);
         let now = self.runner.now();
-        if self.keep_alive.as_mut().is_some_and(|it| it.takes(event, now)) {
+        let of_work = self.at_work.as_mut().is_some_and(|it| it.takes(event, now));
+        if self.holding.takes(event, now) || of_work {
             return;
         }
         // A caller that has its answer and then subscribes gets nothing older.
@@ -256,7 +285,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// When something is to be done that no event triggers.
     fn wake_at(&self) -> Option<Instant> {
         let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
-        let of_others = self.keep_alive.map(|_| look_again);
+        let asks = self.at_work.is_some() || !self.told.holding().is_empty();
+        let of_others = asks.then_some(look_again);
         let waits = self.waiting.iter().map(|(until, _)| *until);
         waits.chain(of_others).chain(self.turn_ends).min()
     }
@@ -309,7 +339,17 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// Something is asked or ordered: no stop before it is the last word.
     fn note_work(&mut self) {
         self.all_stopped = None;
+        self.to_forget = MotorSet::EMPTY;
         self.stopping.iter_mut().for_each(|stop| stop.of_all = None);
+    }
+
+    /// These are told to stop. What is off stays off.
+    fn note_stop(&mut self, motors: MotorSet, kind: StopKind) {
+        let stay_off = self.runner.master().switched_off();
+        for motor in motors.iter() {
+            let kind = if stay_off.contains(motor) { StopKind::Off } else { kind };
+            self.told.stops(motor.into(), kind);
+        }
     }
 
     fn await_stop(
@@ -334,12 +374,12 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 // Motors without a place in the master are not stopped, and count as unconfirmed.
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
-                self.told.stops(running, kind);
+                self.note_stop(running, kind);
                 self.await_stop(Some(StopOfAll { kind, asker }), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
                 Ok(()) => {
-                    self.told.stops(motor.into(), kind);
+                    self.note_stop(motor.into(), kind);
                     self.await_stop(None, motor.into(), MotorSet::EMPTY, answer);
                 }
                 Err(refusal) => {
@@ -350,10 +390,12 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::LiftStopOf(motor) => master.lift_stop_of(motor),
             Order::Resume(motor) => master.resume(motor),
             Order::NoteRestart(motor) => master.note_restart(motor),
+            Order::NoteArrival(motor) => self.told.has_arrived(motor),
             Order::Wait { until, answer } => self.waiting.push((until, answer)),
             Order::Forget(motor) => {
-                // While it is spoken to it keeps its place, as documented.
-                let _ = master.forget(motor);
+                self.told.lets_go(motor);
+                self.to_forget.insert(motor);
+                self.forget();
             }
         }
     }
@@ -365,21 +407,21 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         is_late
     }
 
-    fn keep_alive(&mut self, is_any_at_work: bool, switched_off: MotorSet) {
+    fn is_any_holding(&self) -> bool {
+        !self.told.holding().is_empty()
+    }
+
+    fn keep_alive(&mut self, is_any_at_work: bool) {
         self.is_any_waiting = is_any_at_work || !self.stopping.is_empty();
-        let motors = match self.is_any_waiting {
-            true => MotorSet::ALL.without(self.told.may_move()),
-            // The protection of a motor that is off may lock its brake.
-            false => self.told.holding().without(switched_off),
-        };
-        if motors.is_empty() {
-            // What is still to come of its questions is for nobody.
-            self.keep_alive.take_if(|it| !it.is_waiting());
+        let (now, master) = (self.runner.now(), self.runner.master());
+        if self.is_any_waiting {
+            let at_work = self.at_work.get_or_insert(KeepAlive::of_stop(now));
+            at_work.ask(MotorSet::ALL.without(self.told.left_alone()), master, now);
             return;
         }
-        let now = self.runner.now();
-        let keep_alive = self.keep_alive.get_or_insert(KeepAlive::of_stop(now));
-        keep_alive.ask(motors, self.runner.master(), now);
+        // What is still to come of these questions is for nobody.
+        self.at_work.take_if(|it| !it.is_waiting());
+        self.holding.ask(self.told.holding(), master, now);
     }
 
     fn set_point(
@@ -389,8 +431,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         found_at: Instant,
     ) -> Result<(), RequestError> {
         self.note_work();
-        self.told.moves(motor);
-        self.runner.master().set_point(motor, set_point, found_at)
+        self.runner.master().set_point(motor, set_point, found_at)?;
+        self.told.follows(motor);
+        Ok(())
     }
 
     fn found_at(&self, laid_at: time::Duration) -> Instant {

@@ -5,30 +5,34 @@
 
 use embassy_futures::yield_now;
 
-use crate::command::ReadRunTime;
+use crate::command::{ReadRunTime, ReadStatus1};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_IDLE;
 use crate::master::{Event, Failure, Master, MotorSet, Patience};
 use crate::time::{Duration, Instant};
 
-/// How long a motor may be sent nothing before it is asked. A function that works with a motor speaks to it as often.
+/// How long a motor may be sent nothing before it is asked while a function waits, which speaks to its motor as often.
 const LONGEST_REST: Duration = Duration::from_millis(20);
-/// The same for one that is silent, and on RS485 while anything but a stop waits for the line. The line may have been out
-/// for a moment, but each question to a dead motor takes a time-out; and a load may fall that is to be looked at.
+/// The same for one that is silent, on RS485 while anything but a stop waits for the line, and for as long as motors
+/// hold. The line may have been out for a moment, but each question to a dead motor takes a time-out; a load may fall
+/// that is to be looked at; and streams of others are not to be held up for long.
 const LONGER_REST: Duration = Duration::from_millis(100);
 /// A stop that takes no longer than this is over before anybody is asked.
 const SHORT_STOP: Duration = Duration::from_millis(5);
 
 /// Questions to motors that were sent nothing for a while, put by a loop that waits for something else: otherwise their
-/// communication-loss protection (0xB3) would let their loads go. Their answers are not needed, but a run time shows
-/// the master whether a motor has restarted, and no motor sends it as a report (0xB6).
+/// communication-loss protection (0xB3) would let their loads go. They are asked for their run time (0xB1), which shows the
+/// master whether a motor has restarted; while nothing but that is waited for, also for their errors (0x9A).
 ///
-/// The functions of this crate that wait do this. It is public for loops that wait for a stop in their own way.
+/// The functions of this crate that wait do this. It is public for loops that wait in their own way: for a stop, as here,
+/// for a person, or for another bus to be ready. A motor whose answer is awaited takes no other request: go on until
+/// [`is_waiting`](Self::is_waiting) is false.
 ///
 /// ```
 /// use myactuator_protocol_core::io::{KeepAlive, LONGEST_STOP, Runner};
 /// use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
+/// use myactuator_protocol_core::time::Duration;
 ///
 /// /// Stops all motors. Returns those that have not confirmed it: cut their power.
 /// fn stop<R: Runner<8>>(bus: &mut R) -> Result<MotorSet, R::Error> {
@@ -47,7 +51,8 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 ///                 stopping.remove(motor);
 ///                 unconfirmed.insert(motor);
 ///             }
-///             _ => {}
+///             Some(_) => {}
+///             None => bus.idle(now + Duration::from_millis(1)),
 ///         }
 ///     }
 ///     Ok(unconfirmed.with(stopping))
@@ -59,39 +64,75 @@ pub struct KeepAlive {
     asked: MotorSet,
     /// None is asked until then: a stop has just begun, or the bus carries nothing.
     rests_until: Instant,
-    /// A stop waits, and is to be reported soon: no answer is waited for longer than for a stop's confirmation.
-    is_stopping: bool,
+    waits_for: WaitsFor,
+}
+
+/// What the loop waits for.
+#[derive(Clone, Copy, Debug)]
+enum WaitsFor {
+    /// A function, whose caller wants to know nothing of other motors but whether they have restarted.
+    Function,
+    /// A stop, which is to be reported soon: no answer is waited for longer than for a stop's confirmation.
+    Stop,
+    /// Anything: motors hold meanwhile. Each is asked for its run time and its errors in turn.
+    Anything { errors_next: MotorSet },
+}
+
+impl Default for KeepAlive {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl KeepAlive {
-    const NEW: Self =
-        Self { asked: MotorSet::EMPTY, rests_until: Instant::ZERO, is_stopping: false };
-
-    /// For the time in which a stop waits that was called now. A stop that is soon over leaves no motor busy: nobody is
-    /// asked in its first 5 ms.
-    pub fn of_stop(now: Instant) -> Self {
-        Self { rests_until: now + SHORT_STOP, is_stopping: true, ..Self::NEW }
+    /// For motors that hold, for as long as they do: asks each that was sent nothing for 100 ms.
+    pub const fn new() -> Self {
+        let errors_next = MotorSet::EMPTY;
+        Self::while_waiting_for(WaitsFor::Anything { errors_next }, Instant::ZERO)
     }
 
-    /// Asks those of these motors that were sent nothing for 20 ms, or for 100 ms if they are silent. On RS485, asks
-    /// one at a time, also after 100 ms while anything but a stop waits for the line.
+    const fn while_waiting_for(waits_for: WaitsFor, rests_until: Instant) -> Self {
+        Self { asked: MotorSet::EMPTY, rests_until, waits_for }
+    }
+
+    /// For the time in which a stop waits that was called now: asks each that was sent nothing for 20 ms. A stop that is
+    /// soon over leaves no motor busy: nobody is asked in its first 5 ms.
+    pub fn of_stop(now: Instant) -> Self {
+        Self::while_waiting_for(WaitsFor::Stop, now + SHORT_STOP)
+    }
+
+    /// Asks those of these motors that were sent nothing for that long, or for 100 ms if they are silent. On RS485, asks
+    /// one at a time, and after 100 ms while anything but a stop waits for the line.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;
         }
-        let (most, rest) = match master.config().is_rs485() {
-            true if master.sends_more_than_stops(now) => (1, LONGER_REST),
-            true => (1, LONGEST_REST),
-            false => (N, LONGEST_REST),
+        let is_line = master.config().is_rs485();
+        let rest = match self.waits_for {
+            WaitsFor::Anything { .. } => LONGER_REST,
+            _ if is_line && master.sends_more_than_stops(now) => LONGER_REST,
+            WaitsFor::Function | WaitsFor::Stop => LONGEST_REST,
         };
-        let once = match self.is_stopping {
-            true => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
-            false => master.patience(1),
+        let once = match self.waits_for {
+            WaitsFor::Stop => Patience { reply_timeout: master.stop_timeout(), attempts: 1 },
+            WaitsFor::Function | WaitsFor::Anything { .. } => master.patience(1),
         };
+        let most = if is_line { 1 } else { N };
         while self.asked.len() < most {
             let resting = master.longest_resting(motors, now, rest, LONGER_REST);
             let Some(motor) = resting else { return };
-            if master.put_request(motor, &ReadRunTime, Some(once)).is_err() {
+            let is_put = match &mut self.waits_for {
+                WaitsFor::Anything { errors_next } if errors_next.contains(motor) => {
+                    errors_next.remove(motor);
+                    master.put_request(motor, &ReadStatus1, Some(once)).is_ok()
+                }
+                WaitsFor::Anything { errors_next } => {
+                    errors_next.insert(motor);
+                    master.put_request(motor, &ReadRunTime, Some(once)).is_ok()
+                }
+                _ => master.put_request(motor, &ReadRunTime, Some(once)).is_ok(),
+            };
+            if !is_put {
                 return;
             }
             self.asked.insert(motor);
@@ -133,7 +174,8 @@ pub(super) struct KeptAlive<'a, R: ?Sized> {
 impl<'a, R: ?Sized> KeptAlive<'a, R> {
     /// Asks these motors.
     pub(super) fn new(runner: &'a mut R, motors: MotorSet) -> Self {
-        Self { runner, motors, questions: KeepAlive::NEW }
+        let questions = KeepAlive::while_waiting_for(WaitsFor::Function, Instant::ZERO);
+        Self { runner, motors, questions }
     }
 
     /// Asks all motors while a stop waits.

@@ -140,6 +140,11 @@ impl Watch {
         }
     }
 
+    /// The motors that it watches.
+    pub const fn motors(&self) -> MotorSet {
+        self.motors
+    }
+
     /// This watch, begun anew: for a loop that goes on after a stop.
     #[must_use]
     pub const fn anew(&self, now: Instant) -> Self {
@@ -173,7 +178,7 @@ impl Watch {
         self
     }
 
-    /// The brakes of these motors have to be open, from the first answer on. Without this a locked brake is no trouble,
+    /// Of the motors that are watched, these brakes have to be open, from the first answer on. Without this a locked brake is no trouble,
     /// since the watch does not know who has one.
     ///
     /// Leave out a drive that reports an open brake only while it runs a command: some firmware does (2025070202, seen
@@ -201,8 +206,13 @@ impl Watch {
         master: &mut Master<N>,
         now: Instant,
     ) -> Result<(), Trouble> {
-        if let Some(trouble) = self.trouble.take() {
-            return Err(trouble);
+        match self.trouble.take() {
+            // A drive that restarts has a locked brake.
+            Some(Trouble::BrakeLocked(motor)) if master.has_restarted(motor) => {
+                return Err(Trouble::Restarted(motor));
+            }
+            Some(trouble) => return Err(trouble),
+            None => {}
         }
         let is_late = now > self.late_after();
         let held_up = now - core::mem::replace(&mut self.looked, now);

@@ -327,6 +327,11 @@ impl<const N: usize> Master<N> {
         self.stops_all.is_some() || self.stopped.contains(motor)
     }
 
+    /// The motors that a stop in force has switched off: no other stop switches them on. After a stop of all, every id.
+    pub const fn switched_off(&self) -> MotorSet {
+        self.switched_off
+    }
+
     pub(super) fn is_any_stopped(&self) -> bool {
         self.stops_all.is_some() || !self.stopped.is_empty()
     }

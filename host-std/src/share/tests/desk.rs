@@ -19,6 +19,7 @@ struct Notes {
     looked_at: Instant,
     /// Whether the watched loops are late, from the last to the first.
     late: Vec<bool>,
+    is_any_holding: bool,
     /// Of the last set-point.
     found_at: Option<Instant>,
 }
@@ -52,7 +53,11 @@ impl Clerk<CanError> for Notes {
         self.looked_at
     }
 
-    fn keep_alive(&mut self, _: bool, _: MotorSet) {}
+    fn keep_alive(&mut self, _: bool) {}
+
+    fn is_any_holding(&self) -> bool {
+        self.is_any_holding
+    }
 
     fn watch(&mut self, _: &mut Watched) -> bool {
         self.late.pop().unwrap()
@@ -582,6 +587,7 @@ fn a_stop_is_not_lifted_by_whoever_knows_only_of_those_before() {
         let known = desk.lock().stops;
         stop(&desk);
         assert!(!desk.lift_stop_if(known).unwrap());
+        assert!(desk.lock().is_stopped(id(2), None));
         let set_point = || desk.set_point(id(2), Untyped::of(&turn(1.0)));
         tells(&set_point().unwrap_err(), 2, RequestError::Stopped);
         let known = desk.lock().stops;
@@ -621,6 +627,43 @@ fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
             desk.take(&mut notes);
             assert_eq!(notes.noted, [format!("stop all: {expected}")]);
             assert!(notes.late.is_empty(), "each was looked at");
+        }
+    }
+}
+
+/// Nobody moves it, for example since its brake was opened.
+#[test]
+fn a_loop_that_is_late_lets_go_no_motor_that_holds() {
+    for (is_any_holding, expected) in [(true, "Hold"), (false, "Off")] {
+        let desk = new_desk();
+        desk.look(&mut None, &Watch::new(id(1).into(), Instant::ZERO), StopKind::Off).unwrap();
+        let mut notes = Notes { late: vec![true], is_any_holding, ..Notes::default() };
+        desk.take(&mut notes);
+        assert_eq!(notes.noted, [format!("stop all: {expected}")]);
+    }
+}
+
+/// It is stopped as by a loop that hangs, unless all are stopped already.
+#[test]
+fn a_loop_that_panics_lets_go_nothing_that_another_is_to_hold() {
+    use StopKind::{Hold, Off};
+    for (other, expected) in [(Some(Hold), "Hold"), (Some(Off), "Off"), (None, "Off")] {
+        for is_stopped in [false, true] {
+            let desk = new_desk();
+            let watch = Watch::new(id(1).into(), Instant::ZERO);
+            let mut key = None;
+            desk.look(&mut key, &watch, Off).unwrap();
+            other.into_iter().for_each(|kind| desk.look(&mut None, &watch, kind).unwrap());
+            if is_stopped {
+                drop(desk.stop_all(Hold, MotorSet::EMPTY).unwrap());
+            }
+            desk.loop_panics(key.unwrap());
+            let late = vec![false, true][usize::from(other.is_none())..].to_vec();
+            let mut notes = Notes { late, ..Notes::default() };
+            desk.take(&mut notes);
+            let expected = if is_stopped { "Hold" } else { expected };
+            assert_eq!(notes.noted, [format!("stop all: {expected}")]);
+            assert_eq!(desk.lock().watches.len(), usize::from(other.is_some()), "it is gone");
         }
     }
 }

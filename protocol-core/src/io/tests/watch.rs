@@ -221,6 +221,12 @@ fn locked_brake_is_reported_where_it_has_to_be_open() {
         bench.hear(motor, data, ms(1));
         assert_eq!(bench.look(ms(2)), expected, "{motor} {data:?}");
     }
+    // That it has restarted is worse: its turns may be lost.
+    let mut bench = Bench::new();
+    bench.watch = bench.watch.open_brakes(id(1).into());
+    bench.hear(1, HEALTHY, ms(1));
+    bench.master.note_restart(id(1));
+    assert_eq!(bench.look(ms(2)), Err(Trouble::Restarted(id(1))));
 }
 
 #[test]
