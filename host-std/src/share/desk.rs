@@ -197,6 +197,18 @@ impl<E> Desk<E> {
         is_free.then(|| Moving { desk: self, motor })
     }
 
+    /// A call that began at `since` has moved this motor, and it has arrived. That says nothing if others have told it
+    /// to move meanwhile.
+    pub(super) fn note_arrival(&self, motor: MotorId, since: Past) {
+        let mut state = self.lock();
+        // If the thread has ended, nobody is asked any more.
+        if !state.past(motor).was_moved_since(since)
+            && state.order(Order::NoteArrival(motor)).is_ok()
+        {
+            self.leave(state);
+        }
+    }
+
     pub(super) fn begin_work(&self) -> AtWork<'_, E> {
         self.lock().at_work += 1;
         AtWork(self)

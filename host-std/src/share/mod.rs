@@ -81,8 +81,8 @@
 //! [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
 //!
 //! # Motors that hold
-//! The thread of the bus speaks to a motor that holds still, at least every 100 ms, so that its communication-loss
-//! protection (0xB3) does not let its load fall: let that be 300 ms or more. A motor holds
+//! The thread of the bus speaks to a motor that holds still, about every 100 ms, so that its communication-loss
+//! protection (0xB3) does not let its load fall: let that be 500 ms or more. A motor holds, also behind a locked brake,
 //!
 //! - after a stop that holds, of any thread, and after a [`Stop`](myactuator_protocol_core::command::Stop) (0x81);
 //! - after [`release_brake`](SharedBus::release_brake);
@@ -91,7 +91,8 @@
 //! until it is told to move or is switched off, restarts, or reports an error. So a motor is held while its robot waits
 //! for a person or for another bus, and also if all other threads hang. A motor that was told to move is spoken to only
 //! by whoever moves it, so that its protection ends what a thread that hangs has begun. One that is off, or that reports
-//! an error, is left to its protection, which locks its brake.
+//! an error, is left to its protection, which locks its brake. Errors that are found so are published as a
+//! [`Report`](myactuator_protocol_core::master::Event::Report).
 //!
 //! What motors do since before the bus was shared it does not know: stop them with a handle, then they hold.
 //!

@@ -48,12 +48,24 @@ pub(super) struct Past {
     is_let_go: bool,
     /// How often it was reported to have restarted.
     restarts: u32,
+    /// How often it was told to move.
+    moves: u32,
 }
 
 impl Past {
     /// The caller has ended the motion itself, which does not hold back its own commands.
     pub(super) fn note_own_end(&mut self) {
         self.ended = self.ended.wrapping_add(1);
+    }
+
+    /// It is told to move.
+    pub(super) fn note_move(&mut self) {
+        self.moves = self.moves.wrapping_add(1);
+    }
+
+    /// Whether it was told to move by others since `since`.
+    pub(super) fn was_moved_since(&self, since: Self) -> bool {
+        self.moves != since.moves
     }
 }
 
@@ -153,8 +165,8 @@ pub(super) trait Clerk<E> {
     /// with one motor waits for the bus.
     fn keep_alive(&mut self, is_any_at_work: bool);
 
-    /// Whether a motor holds that nobody moves.
-    fn is_any_holding(&self) -> bool;
+    /// Whether a motor holds, or is to, that nobody leads by set-points.
+    fn is_any_held(&self) -> bool;
 }
 
 impl<E> State<E> {
@@ -224,6 +236,7 @@ impl<E> State<E> {
         // The motor may run from now on, so a stop that holds it must not leave it off.
         if kind.may_move() {
             self.slot(motor).past.is_let_go = false;
+            self.slot(motor).past.note_move();
         }
     }
 
@@ -321,7 +334,7 @@ impl<E> State<E> {
         // What another loop is to hold may fall, and that loop may be late in a moment.
         let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
             || !self.stopped.without(self.switched_off).is_empty()
-            || clerk.is_any_holding();
+            || clerk.is_any_held();
         self.watches.retain(|watched| !watched.has_panicked());
         // A panic may come under a stop.
         if is_any_late && !self.stops_all {

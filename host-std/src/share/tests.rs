@@ -363,10 +363,11 @@ fn motors_that_hold_are_asked_until_they_are_told_otherwise() {
     }
 }
 
-/// Its protection may lock a brake behind which nothing holds.
+/// Its protection may lock a brake behind which nothing holds. Whoever waits meanwhile learns of it.
 #[test]
 fn a_motor_in_error_is_not_asked() {
     let (fleet, bus) = shared(1);
+    let mut events = bus.subscribe(1_000);
     assert!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap().is_empty());
     let log = fleet.world.log();
     thread::sleep(time::Duration::from_millis(500));
@@ -376,6 +377,44 @@ fn a_motor_in_error_is_not_asked() {
     log.take();
     thread::sleep(time::Duration::from_millis(300));
     assert_eq!(packets(&log), []);
+    assert!(events.any(|event| matches!(event, Event::Report { motor, .. } if motor == id(1))));
+}
+
+/// It may hold all the same, or does so again.
+#[test]
+fn a_motor_that_was_silent_for_a_second_is_asked_when_it_is_back() {
+    let (fleet, bus) = shared(1);
+    bus.ask(id(1), Stop).unwrap();
+    let station = fleet.drives[0].station();
+    fleet.world.cut(station);
+    thread::sleep(time::Duration::from_millis(1_300));
+    fleet.world.mend(station);
+    let log = fleet.world.log();
+    thread::sleep(time::Duration::from_millis(500));
+    assert!(bus.has_restarted(id(1)));
+    assert!(packets(&log).len() > 4);
+}
+
+/// Others are spoken to all the time.
+#[test]
+fn dead_ids_are_forgotten_though_they_were_just_asked() {
+    let (fleet, bus) = shared(3);
+    for motor in 1..=3 {
+        bus.ask(id(motor), Stop).unwrap();
+    }
+    for drive in &fleet.drives[..2] {
+        fleet.world.cut(drive.station());
+    }
+    thread::sleep(time::Duration::from_millis(300));
+    for motor in [1, 2] {
+        bus.forget(id(motor)).unwrap();
+    }
+    let begun = time::Instant::now();
+    while begun.elapsed() < time::Duration::from_millis(200) {
+        bus.set_point(id(3), turn(10.0)).unwrap();
+        thread::sleep(time::Duration::from_millis(1));
+    }
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
 }
 
 /// They may hold a load: nobody knows.

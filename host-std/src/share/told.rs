@@ -9,6 +9,8 @@ enum Last {
     /// Nothing, or its drive has let go since.
     #[default]
     Nothing,
+    /// Whatever it was, it reports an error, and may hold nothing.
+    InError,
     /// By set-points, which only whoever puts them ends.
     ToFollow,
     /// By a command that it carries out alone.
@@ -47,9 +49,13 @@ impl Told {
         }
     }
 
-    /// Told by a command that ends motion. A motor whose brake is told to lock holds until then, or has none.
+    /// Told by a command that ends motion. One that locks its brake ends a motion, and switches nothing on.
     pub(super) fn ends_motion(&mut self, motor: MotorId, by: Kind) {
-        self.stops(motor.into(), StopKind::by(by).unwrap_or(StopKind::Hold));
+        match (StopKind::by(by), self.0[motor.index()]) {
+            (Some(kind), _) => self.stops(motor.into(), kind),
+            (None, Last::ToFollow | Last::ToMove) => self.stops(motor.into(), StopKind::Hold),
+            (None, _) => {}
+        }
     }
 
     /// It has confirmed what ends its motion. That says nothing of what it was told since.
@@ -57,10 +63,23 @@ impl Told {
         self.change(motor, Last::ToStop(StopKind::Hold), Last::ToHold);
     }
 
-    /// Its drive has restarted, lost its master or reports an error: it holds nothing, and its protection (0xB3) is to
-    /// lock its brake.
+    /// Its drive has restarted, or has lost its master.
     pub(super) fn lets_go(&mut self, motor: MotorId) {
         self.change(motor, Last::ToHold, Last::Nothing);
+    }
+
+    /// Its drive says whether it is in error.
+    pub(super) fn reports(&mut self, motor: MotorId, is_in_error: bool) {
+        match (is_in_error, self.0[motor.index()]) {
+            // It is off in any case.
+            (true, Last::ToStop(StopKind::Off)) => {}
+            (true, _) => self.0[motor.index()] = Last::InError,
+            (false, _) => self.change(motor, Last::InError, Last::Nothing),
+        }
+    }
+
+    pub(super) fn is_forgotten(&mut self, motor: MotorId) {
+        self.0[motor.index()] = Last::Nothing;
     }
 
     fn change(&mut self, motor: MotorId, from: Last, to: Last) {
@@ -75,7 +94,14 @@ impl Told {
         self.with(|last| last == Last::ToHold)
     }
 
-    /// Those that may be moving, or are off. Their protection ends what a thread that hangs has begun, or locks a brake
+    /// Whether any motor would let a load fall if it were switched off, that nobody leads by set-points.
+    pub(super) fn is_any_held(&self) -> bool {
+        let is_held =
+            |last| matches!(last, Last::ToHold | Last::ToMove | Last::ToStop(StopKind::Hold));
+        !self.with(is_held).is_empty()
+    }
+
+    /// Those that may be moving, are off or are in error. Their protection ends what a thread that hangs has begun, or locks a brake
     /// behind which nothing holds.
     pub(super) fn left_alone(&self) -> MotorSet {
         self.with(|last| !matches!(last, Last::Nothing | Last::ToHold))
@@ -107,6 +133,9 @@ mod tests {
         let shuts_down: Step = |told| told.ends_motion(MOTOR, Opcode::Shutdown.into());
         let confirms: Step = |told| told.confirmed(MOTOR);
         let lets_go: Step = |told| told.lets_go(MOTOR);
+        let fails: Step = |told| told.reports(MOTOR, true);
+        let is_well: Step = |told| told.reports(MOTOR, false);
+        let is_forgotten: Step = |told| told.is_forgotten(MOTOR);
         // Whether it then holds, and whether it is left alone.
         let (holds, is_left_alone, neither) = ((true, false), (false, true), (false, false));
         let cases: &[(&[Step], (bool, bool))] = &[
@@ -130,7 +159,16 @@ mod tests {
             (&[is_to_hold, confirms, lets_go, confirms], neither),
             (&[is_to_be_off, confirms], is_left_alone),
             (&[is_to_be_off, confirms, is_to_hold, confirms], holds),
-            (&[locks, confirms], holds),
+            (&[locks, confirms], neither),
+            (&[moves, locks, confirms], holds),
+            (&[is_to_hold, confirms, locks, confirms], holds),
+            (&[shuts_down, locks, confirms], is_left_alone),
+            (&[is_to_hold, confirms, fails], is_left_alone),
+            (&[is_to_hold, fails, confirms], is_left_alone),
+            (&[is_to_hold, confirms, fails, is_well], neither),
+            (&[is_to_hold, confirms, is_well], holds),
+            (&[shuts_down, fails, is_well], is_left_alone),
+            (&[moves, is_forgotten], neither),
             (&[stops, confirms], holds),
             (&[shuts_down, confirms], is_left_alone),
         ];
@@ -139,6 +177,20 @@ mod tests {
             steps.iter().for_each(|step| step(&mut told));
             let is_in = |motors: MotorSet| motors.contains(MOTOR);
             assert_eq!((is_in(told.holding()), is_in(told.left_alone())), *expected, "{number}");
+        }
+        // Who would fall.
+        let cases: [(&[Step], bool); 6] = [
+            (&[], false),
+            (&[follows], false),
+            (&[moves], true),
+            (&[is_to_hold], true),
+            (&[is_to_hold, confirms], true),
+            (&[is_to_be_off, confirms], false),
+        ];
+        for (number, (steps, expected)) in cases.into_iter().enumerate() {
+            let mut told = Told::default();
+            steps.iter().for_each(|step| step(&mut told));
+            assert_eq!(told.is_any_held(), expected, "{number}");
         }
     }
 }

@@ -104,7 +104,8 @@ impl<E: fmt::Debug + 'static> Watch<E> {
     /// - [`Trouble`]: what was found first, at each look from then on.
     /// - [`LoopError::Stopped`]: all motors are stopped, or all or one of these were since the first look.
     /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for the
-    ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter. Until it comes back nothing is sent.
+    ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter or nothing [wakes](super::SharedBus::with_wake) the thread. Until it comes
+    ///   back nothing is sent.
     /// - [`SharedBusError::Panicked`](super::SharedBusError::Panicked): it has ended.
     pub fn look(&mut self) -> Result<(), LoopError<E>> {
         let Self { desk, kind, watch, key } = self;

@@ -90,8 +90,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         };
         let mut way = Way::on(self, motor);
         let arrived = block_on(async_bring_up::move_to(&mut way, motor, command, limits, on_look))?;
-        // If the thread has ended, nobody is asked any more.
-        let _ = self.desk().order(Order::NoteArrival(motor));
+        self.desk().note_arrival(motor, way.since);
         Ok(arrived)
     }
 
@@ -242,8 +241,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         let reply = self.bus.put(motor, &command, insistence, Some(self.since));
         drop(at_work);
         // It may have been sent, whatever the outcome.
-        if ends_motion && !matches!(reply, Err(SharedBusError::Refused { .. })) {
+        let is_refused = matches!(reply, Err(SharedBusError::Refused { .. }));
+        if ends_motion && !is_refused {
             self.since.note_own_end();
+        }
+        if command.kind().may_move() && !is_refused {
+            self.since.note_move();
         }
         if ends_motion {
             self.opening = None;

@@ -5,10 +5,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time;
 
-use myactuator_protocol_core::command::{AnyReply, Command, ReadStatus1};
+use myactuator_protocol_core::command::{AnyReply, Command, ReadStatus1, Status1};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
-use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
+use myactuator_protocol_core::master::{Event, MotorSet, Presence, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
 
@@ -78,16 +78,15 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     desk.end();
 }
 
-/// The motor of which this says that its drive reports an error.
-fn in_error(event: &Event) -> Option<MotorId> {
-    let (motor, status) = match event {
-        Event::Report { motor, reply: AnyReply::ReadStatus1(status) } => (*motor, *status),
+/// The status (0x9A) that a motor has sent.
+fn status_in(event: &Event) -> Option<(MotorId, Status1)> {
+    match event {
+        Event::Report { motor, reply: AnyReply::ReadStatus1(status) } => Some((*motor, *status)),
         Event::Reply { ticket, data, .. } => {
-            (ticket.motor(), ReadStatus1::decode_reply(data).ok()?)
+            Some((ticket.motor(), ReadStatus1::decode_reply(data).ok()?))
         }
-        _ => return None,
-    };
-    (!status.errors.is_empty()).then_some(motor)
+        _ => None,
+    }
 }
 
 /// The message of a panic.
@@ -194,7 +193,12 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
 
     fn forget(&mut self) {
         let master = self.runner.master();
-        self.to_forget = self.to_forget.iter().filter(|&motor| !master.forget(motor)).collect();
+        for motor in self.to_forget.iter() {
+            if master.forget(motor) {
+                self.to_forget.remove(motor);
+                self.told.is_forgotten(motor);
+            }
+        }
     }
 
     /// Hands an event to all that it concerns.
@@ -206,20 +210,37 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             desk.has_restarted(motor);
         }
         match *event {
-            Event::StopConfirmed { motor } => self.told.confirmed(motor),
-            Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
-                self.told.confirmed(ticket.motor());
+            Event::StopConfirmed { motor } => {
+                self.told.confirmed(motor);
+                self.to_forget.remove(motor);
             }
-            Event::Restarted { motor } | Event::LostMaster { motor } => self.told.lets_go(motor),
+            Event::Reply { ticket, kind, .. } => {
+                if kind.ends_motion() {
+                    self.told.confirmed(ticket.motor());
+                }
+                self.to_forget.remove(ticket.motor());
+            }
+            Event::LostMaster { motor } => self.told.lets_go(motor),
+            // After a mere silence it may hold all the same.
+            Event::Restarted { motor }
+                if self.runner.master().health(motor).presence != Presence::Silent =>
+            {
+                self.told.lets_go(motor);
+            }
             _ => {}
         }
-        if let Some(motor) = in_error(event) {
-            self.told.lets_go(motor);
+        let status = status_in(event);
+        if let Some((motor, status)) = status {
+            self.told.reports(motor, !status.errors.is_empty());
         }
         desk.note(event);
         let now = self.runner.now();
         let of_work = self.at_work.as_mut().is_some_and(|it| it.takes(event, now));
         if self.holding.takes(event, now) || of_work {
+            // An error concerns everybody.
+            if let Some((motor, status)) = status.filter(|(_, status)| !status.errors.is_empty()) {
+                desk.publish(&Event::Report { motor, reply: AnyReply::ReadStatus1(status) });
+            }
             return;
         }
         // A caller that has its answer and then subscribes gets nothing older.
@@ -339,7 +360,6 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// Something is asked or ordered: no stop before it is the last word.
     fn note_work(&mut self) {
         self.all_stopped = None;
-        self.to_forget = MotorSet::EMPTY;
         self.stopping.iter_mut().for_each(|stop| stop.of_all = None);
     }
 
@@ -375,11 +395,13 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                 let _ = master.stop_all(kind, also);
                 let running = master.motors();
                 self.note_stop(running, kind);
+                self.to_forget = MotorSet::EMPTY;
                 self.await_stop(Some(StopOfAll { kind, asker }), running, also, answer);
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
                 Ok(()) => {
                     self.note_stop(motor.into(), kind);
+                    self.to_forget.remove(motor);
                     self.await_stop(None, motor.into(), MotorSet::EMPTY, answer);
                 }
                 Err(refusal) => {
@@ -394,6 +416,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::Wait { until, answer } => self.waiting.push((until, answer)),
             Order::Forget(motor) => {
                 self.told.lets_go(motor);
+                // While it is spoken to it keeps its place.
                 self.to_forget.insert(motor);
                 self.forget();
             }
@@ -407,8 +430,8 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         is_late
     }
 
-    fn is_any_holding(&self) -> bool {
-        !self.told.holding().is_empty()
+    fn is_any_held(&self) -> bool {
+        self.told.is_any_held()
     }
 
     fn keep_alive(&mut self, is_any_at_work: bool) {
@@ -431,6 +454,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         found_at: Instant,
     ) -> Result<(), RequestError> {
         self.note_work();
+        self.to_forget.remove(motor);
         self.runner.master().set_point(motor, set_point, found_at)?;
         self.told.follows(motor);
         Ok(())
@@ -449,6 +473,7 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         let now = self.runner.now();
         let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
         let Question { motor, command, insistence, .. } = question;
+        self.to_forget.remove(motor);
         let master = self.runner.master();
         let ticket = match insistence {
             // Its turn comes too late: the program may have been suspended.

@@ -139,8 +139,8 @@ impl KeepAlive {
         }
     }
 
-    /// Whether this is the outcome of one of its questions, and so for nobody else. A motor that has one takes no other
-    /// request.
+    /// Whether this is the outcome of one of its questions, and so for nobody else, except for errors in a status (0x9A).
+    /// A motor that has one takes no other request.
     pub fn takes(&mut self, event: &Event, now: Instant) -> bool {
         let (Event::Reply { ticket, .. } | Event::Failed { ticket, .. }) = event else {
             return false;

@@ -19,7 +19,7 @@ struct Notes {
     looked_at: Instant,
     /// Whether the watched loops are late, from the last to the first.
     late: Vec<bool>,
-    is_any_holding: bool,
+    is_any_held: bool,
     /// Of the last set-point.
     found_at: Option<Instant>,
 }
@@ -34,6 +34,7 @@ impl Clerk<CanError> for Notes {
             Order::Resume(motor) => format!("resume {motor}"),
             Order::Forget(motor) => format!("forget {motor}"),
             Order::NoteRestart(motor) => format!("restart {motor}"),
+            Order::NoteArrival(motor) => format!("arrived {motor}"),
             other => panic!("{other:?}"),
         });
     }
@@ -55,8 +56,8 @@ impl Clerk<CanError> for Notes {
 
     fn keep_alive(&mut self, _: bool) {}
 
-    fn is_any_holding(&self) -> bool {
-        self.is_any_holding
+    fn is_any_held(&self) -> bool {
+        self.is_any_held
     }
 
     fn watch(&mut self, _: &mut Watched) -> bool {
@@ -574,6 +575,24 @@ fn restart_reported_while_its_resumption_waits_blocks_nothing() {
     assert!(desk.set_point(id(1), Untyped::of(&turn(1.0))).is_ok());
 }
 
+/// Of two threads that move it one has arrived.
+#[test]
+fn an_arrival_says_nothing_of_what_others_have_told_the_motor() {
+    for (others_move, expected) in [(false, vec!["arrived 1".to_owned()]), (true, vec![])] {
+        let desk = new_desk();
+        let mut since = desk.past(id(1));
+        for is_own in [true, false] {
+            if is_own || others_move {
+                desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+                taken(&desk);
+            }
+        }
+        since.note_move();
+        desk.note_arrival(id(1), since);
+        assert_eq!(taken(&desk), expected);
+    }
+}
+
 /// Somebody presses a button just before.
 #[test]
 fn a_stop_is_not_lifted_by_whoever_knows_only_of_those_before() {
@@ -634,10 +653,10 @@ fn a_loop_that_is_late_lets_go_nothing_that_another_loop_is_to_hold() {
 /// Nobody moves it, for example since its brake was opened.
 #[test]
 fn a_loop_that_is_late_lets_go_no_motor_that_holds() {
-    for (is_any_holding, expected) in [(true, "Hold"), (false, "Off")] {
+    for (is_any_held, expected) in [(true, "Hold"), (false, "Off")] {
         let desk = new_desk();
         desk.look(&mut None, &Watch::new(id(1).into(), Instant::ZERO), StopKind::Off).unwrap();
-        let mut notes = Notes { late: vec![true], is_any_holding, ..Notes::default() };
+        let mut notes = Notes { late: vec![true], is_any_held, ..Notes::default() };
         desk.take(&mut notes);
         assert_eq!(notes.noted, [format!("stop all: {expected}")]);
     }
