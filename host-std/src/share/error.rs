@@ -34,10 +34,9 @@ pub enum SharedBusError<E = BusError> {
         /// Why there is no answer.
         failure: Failure,
     },
-    /// The bus driver has kept its thread for 2 s, or for the longest silence of a [`Watch`](super::Watch) that looks (or
-    /// the program was frozen). It is not known whether a command was
-    /// sent, or will still be sent in the round in which the driver hangs. After that round no command that a stop
-    /// would refuse, such as a move, is sent any more.
+    /// The bus driver has kept its thread for 2 s, or for the longest silence of a [`Watch`](super::Watch) that looks
+    /// (or the program was frozen). It is not known whether a command was sent, or will still be sent in the round in
+    /// which the driver hangs. After that round no command that a stop would refuse, such as a move, is sent any more.
     #[error(
         "the driver of the bus does not come back, so it is not known whether the command is sent: if a motor must stop now, cut its power"
     )]

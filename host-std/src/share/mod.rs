@@ -82,19 +82,19 @@
 //!
 //! # Motors that hold
 //! The thread of the bus speaks to a motor that holds still, about every 100 ms, so that its communication-loss
-//! protection (0xB3) does not let its load fall: let that be 500 ms or more. A motor holds, also behind a locked brake,
+//! protection (0xB3) does not let its load fall: let that be 500 ms or more. A motor holds, also behind a locked brake:
 //!
 //! - after a stop that holds, of any thread, and after a [`Stop`](myactuator_protocol_core::command::Stop) (0x81);
 //! - after [`release_brake`](SharedBus::release_brake);
-//! - when a [`move_to`](SharedBus::move_to) has arrived;
+//! - when a [`move_to`](SharedBus::move_to) has arrived.
 //!
-//! until it is told to move or is switched off, restarts, or reports an error. So a motor is held while its robot waits
-//! for a person or for another bus, and also if all other threads hang. A motor that was told to move is spoken to only
-//! by whoever moves it, so that its protection ends what a thread that hangs has begun. One that is off, or that reports
-//! an error, is left to its protection, which locks its brake. Errors that are found so are published as a
-//! [`Report`](myactuator_protocol_core::master::Event::Report).
+//! It does so until it is told to move or is switched off, restarts, or reports an error. So a motor is held while its
+//! robot waits for a person or for another bus, and also if all other threads hang. A motor that was told to move is
+//! spoken to only by whoever moves it, so that its protection ends what a thread that hangs has begun. One that is off,
+//! or that reports an error, is left to its protection, which locks its brake. Errors that the bus finds so are
+//! published as a [`Report`](myactuator_protocol_core::master::Event::Report).
 //!
-//! What motors do since before the bus was shared it does not know: stop them with a handle, then they hold.
+//! The bus does not know what motors do since before it was shared: stop them with a handle, then they hold.
 //!
 //! # A motor that restarts
 //! Its turns may be lost, so moves and set-points are refused from then on. [Subscriptions](Subscription) get
@@ -124,7 +124,7 @@
 //!   moves a motor until the bus works again. If it works again before any call got the error, the next call gets it. A
 //!   command that ends motion is accepted nevertheless. The thread goes on and tries again.
 //! - **The driver of the bus panics:** the motors are stopped, as far as the driver still works, and every call says so
-//!   from then on. Nobody speaks to them any more, so their protection lets their loads go. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
+//!   from then on. Nobody speaks to them any more: their protection lets their loads go. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
 //!   motors.
 //! - **The driver does not return:** after 2 s each call says so, and each stop counts as unconfirmed.
 

@@ -396,9 +396,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Gives up the place of an id without a motor; until then each stop of all waits for that id. If there is a motor
-    /// later, no stop of all and no guard reaches it until it is spoken to. If the id is being spoken
-    /// to, or what was sent may still move a motor there, this happens when that is over, unless it answers or is spoken
-    /// to again. Does not wait.
+    /// later, no stop of all and no guard reaches it until it is spoken to. If the id is
+    /// being spoken to, or what was sent may still move a motor there, this happens when that is over, unless it
+    /// answers or is spoken to again. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].

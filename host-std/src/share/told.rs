@@ -1,7 +1,7 @@
 //! Which motors hold still, and which may be moving.
 
 use myactuator_protocol_core::master::{MotorSet, StopKind};
-use myactuator_protocol_core::{Kind, MotorId};
+use myactuator_protocol_core::{Kind, MotorId, Opcode};
 
 /// What a motor was told last of its motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -54,6 +54,7 @@ impl Told {
         match (StopKind::by(by), self.0[motor.index()]) {
             (Some(kind), _) => self.stops(motor.into(), kind),
             (None, Last::ToFollow | Last::ToMove) => self.stops(motor.into(), StopKind::Hold),
+            (None, Last::ToHold) if by == Opcode::Reset.into() => self.lets_go(motor),
             (None, _) => {}
         }
     }
@@ -101,8 +102,8 @@ impl Told {
         !self.with(is_held).is_empty()
     }
 
-    /// Those that may be moving, are off or are in error. Their protection ends what a thread that hangs has begun, or locks a brake
-    /// behind which nothing holds.
+    /// Those that may be moving, are off or are in error. Their protection ends what a thread that hangs has begun, or
+    /// locks a brake behind which nothing holds.
     pub(super) fn left_alone(&self) -> MotorSet {
         self.with(|last| !matches!(last, Last::Nothing | Last::ToHold))
     }
@@ -114,8 +115,6 @@ impl Told {
 
 #[cfg(test)]
 mod tests {
-    use myactuator_protocol_core::Opcode;
-
     use super::*;
 
     const MOTOR: MotorId = MotorId::MIN;
@@ -131,6 +130,7 @@ mod tests {
         let locks: Step = |told| told.ends_motion(MOTOR, Opcode::LockBrake.into());
         let stops: Step = |told| told.ends_motion(MOTOR, Opcode::Stop.into());
         let shuts_down: Step = |told| told.ends_motion(MOTOR, Opcode::Shutdown.into());
+        let restarts: Step = |told| told.ends_motion(MOTOR, Opcode::Reset.into());
         let confirms: Step = |told| told.confirmed(MOTOR);
         let lets_go: Step = |told| told.lets_go(MOTOR);
         let fails: Step = |told| told.reports(MOTOR, true);
@@ -163,6 +163,8 @@ mod tests {
             (&[moves, locks, confirms], holds),
             (&[is_to_hold, confirms, locks, confirms], holds),
             (&[shuts_down, locks, confirms], is_left_alone),
+            (&[is_to_hold, confirms, restarts], neither),
+            (&[moves, restarts], is_left_alone),
             (&[is_to_hold, confirms, fails], is_left_alone),
             (&[is_to_hold, fails, confirms], is_left_alone),
             (&[is_to_hold, confirms, fails, is_well], neither),

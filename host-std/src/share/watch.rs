@@ -18,9 +18,10 @@ use crate::open::BusError;
 ///
 /// **If the loop does not look for longer than [`longest_silence`](Self::longest_silence), the thread of the bus stops
 /// all motors**, unless all are stopped already: a loop that hangs cannot. They are held if any watch that has looked
-/// is to hold its motors, or a motor [holds](super#motors-that-hold) that nobody moves, else switched off. The stop latches. The same
-/// happens if the driver of the bus holds its thread for as long: no set-point was sent meanwhile. In all other cases
-/// the watch stops nothing: leave the loop through a [`Guard`](super::Guard).
+/// is to hold its motors, or if a motor [holds](super#motors-that-hold), is to, or moves to an angle alone; else they
+/// are switched off. The stop latches. The same happens if the driver of the bus holds its thread for as long: no
+/// set-point was sent meanwhile. In all other cases the watch stops nothing: leave the loop through a
+/// [`Guard`](super::Guard).
 ///
 /// **A stop of all, or of one of its motors, by whoever, ends the loop:** from then on each look says so, even if the
 /// stop was lifted meanwhile. So a loop that has not seen the stop does not go on behind it.
@@ -56,8 +57,9 @@ use crate::open::BusError;
 /// ```
 ///
 /// It begins with the first look: open brakes before that. End it before the loop's thread does something else, such as
-/// a [`move_to`](super::SharedBus::move_to): drop it. If a panic drops it after its first look, all motors are stopped as by a loop that hangs. Make a new one when
-/// the set of motors changes, after trouble and after a stop. It is no handle: it does not keep the bus running.
+/// a [`move_to`](super::SharedBus::move_to): drop it. If a panic drops it after its first look, all motors are stopped
+/// as by a loop that hangs. Make a new one when the set of motors changes, after trouble and after a stop. It is no
+/// handle: it does not keep the bus running.
 ///
 /// A watch of no motors watches only its thread, whatever that does.
 ///
@@ -104,8 +106,8 @@ impl<E: fmt::Debug + 'static> Watch<E> {
     /// - [`Trouble`]: what was found first, at each look from then on.
     /// - [`LoopError::Stopped`]: all motors are stopped, or all or one of these were since the first look.
     /// - [`SharedBusError::Held`](super::SharedBusError::Held): the thread of the bus has taken up nothing for the
-    ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter or nothing [wakes](super::SharedBus::with_wake) the thread. Until it comes
-    ///   back nothing is sent.
+    ///   [longest silence](Self::longest_silence), or for 2 s if that is shorter or nothing
+    ///   [wakes](super::SharedBus::with_wake) the thread. Until it comes back nothing is sent.
     /// - [`SharedBusError::Panicked`](super::SharedBusError::Panicked): it has ended.
     pub fn look(&mut self) -> Result<(), LoopError<E>> {
         let Self { desk, kind, watch, key } = self;

@@ -22,12 +22,12 @@ const LONGER_REST: Duration = Duration::from_millis(100);
 const SHORT_STOP: Duration = Duration::from_millis(5);
 
 /// Questions to motors that were sent nothing for a while, put by a loop that waits for something else: otherwise their
-/// communication-loss protection (0xB3) would let their loads go. They are asked for their run time (0xB1), which shows the
-/// master whether a motor has restarted; while nothing but that is waited for, also for their errors (0x9A).
+/// communication-loss protection (0xB3) would let their loads go. They are asked for their run time (0xB1), which shows
+/// the master whether a motor has restarted; by [`new`](Self::new) also for their errors (0x9A).
 ///
-/// The functions of this crate that wait do this. It is public for loops that wait in their own way: for a stop, as here,
-/// for a person, or for another bus to be ready. A motor whose answer is awaited takes no other request: go on until
-/// [`is_waiting`](Self::is_waiting) is false.
+/// The functions of this crate that wait do this. It is public for loops that wait in their own way: for a stop, as
+/// here, for a person, or for another bus to be ready. A motor whose answer is awaited takes no other request: go on
+/// until [`is_waiting`](Self::is_waiting) is false.
 ///
 /// ```
 /// use myactuator_protocol_core::io::{KeepAlive, LONGEST_STOP, Runner};
@@ -95,14 +95,14 @@ impl KeepAlive {
         Self { asked: MotorSet::EMPTY, rests_until, waits_for }
     }
 
-    /// For the time in which a stop waits that was called now: asks each that was sent nothing for 20 ms. A stop that is
-    /// soon over leaves no motor busy: nobody is asked in its first 5 ms.
+    /// For the time in which a stop waits that was called now: asks each that was sent nothing for 20 ms. A stop that
+    /// is soon over leaves no motor busy: nobody is asked in its first 5 ms.
     pub fn of_stop(now: Instant) -> Self {
         Self::while_waiting_for(WaitsFor::Stop, now + SHORT_STOP)
     }
 
-    /// Asks those of these motors that were sent nothing for that long, or for 100 ms if they are silent. On RS485, asks
-    /// one at a time, and after 100 ms while anything but a stop waits for the line.
+    /// Asks those of these motors that were sent nothing for that long, or for 100 ms if they are silent. On RS485,
+    /// asks one at a time, and after 100 ms while anything but a stop waits for the line.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;
@@ -139,8 +139,8 @@ impl KeepAlive {
         }
     }
 
-    /// Whether this is the outcome of one of its questions, and so for nobody else, except for errors in a status (0x9A).
-    /// A motor that has one takes no other request.
+    /// Whether this is the outcome of one of its questions, and so for nobody else, except for errors in a status
+    /// (0x9A). A motor that has one takes no other request.
     pub fn takes(&mut self, event: &Event, now: Instant) -> bool {
         let (Event::Reply { ticket, .. } | Event::Failed { ticket, .. }) = event else {
             return false;

@@ -178,8 +178,8 @@ impl Watch {
         self
     }
 
-    /// Of the motors that are watched, these brakes have to be open, from the first answer on. Without this a locked brake is no trouble,
-    /// since the watch does not know who has one.
+    /// Of the motors that are watched, these brakes have to be open, from the first answer on. Without this a locked
+    /// brake is no trouble, since the watch does not know who has one.
     ///
     /// Leave out a drive that reports an open brake only while it runs a command: some firmware does (2025070202, seen
     /// in the field), and would end the loop when the motor rests.

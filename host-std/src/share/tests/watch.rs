@@ -295,7 +295,7 @@ fn a_panic_that_drops_a_watch_stops_all() {
     assert!(fleet.drives[1].with(|drive| drive.state()).output_on, "it holds");
 }
 
-/// Its loop does not know, and would move it when that stop is lifted. Until it has left it is watched: the others move.
+/// Its loop does not know, and would move it when that stop is lifted. It is watched until it has left: others move.
 #[test]
 fn a_stop_of_a_watched_motor_ends_its_loop() {
     let (_fleet, bus) = shared(3);

@@ -243,8 +243,8 @@ impl Motor {
             return Meaning::Nothing;
         }
         // The drive's last master may have gone before this one was there to hear of it. Then it has ignored this, too.
-        // Where commands are echoed, an answer that comes behind a further attempt passes for its echo: then equal answers
-        // might use up all attempts.
+        // Where commands are echoed, an answer that comes behind a further attempt passes for its echo: then equal
+        // answers might use up all attempts.
         let may_be_behind = config.echoes() && asked.unanswered > 0;
         let may_be_ignored = is_echo && heard.is_first && !may_be_behind;
         if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
