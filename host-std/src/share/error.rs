@@ -76,8 +76,10 @@ pub enum LoopError<E: fmt::Debug + 'static = BusError> {
     /// What a [`Watch`](super::Watch) has found.
     #[error(transparent)]
     Trouble(#[from] Trouble),
-    /// All motors are stopped, or were since the first look of a [`Watch`](super::Watch).
-    #[error("all motors were stopped: leave the loop, even if the stop was lifted")]
+    /// All motors are stopped, or all or one that is watched were since the first look of a [`Watch`](super::Watch).
+    #[error(
+        "the motors, or one of them, were stopped: leave the loop, even if the stop was lifted"
+    )]
     Stopped,
     /// A call has no answer.
     #[error(transparent)]

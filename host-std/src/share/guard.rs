@@ -1,7 +1,7 @@
 //! A thread that leaves its control loop leaves it through the stop, also while other threads have handles.
 
-use std::fmt;
 use std::ops::Deref;
+use std::{array, fmt};
 
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 
@@ -102,13 +102,8 @@ impl<const M: usize, E: fmt::Debug + Send + Sync + 'static> Guards<M, E> {
     }
 
     fn stop(&self) -> [Result<MotorSet, SharedBusError<E>>; M] {
-        // There is one for each bus.
-        let mut kinds = self.kinds.into_iter();
-        let stops = self
-            .buses
-            .each_ref()
-            .map(|bus| bus.begin_stop_all(kinds.next().unwrap_or(StopKind::Hold), MotorSet::EMPTY));
-        stops.map(Stopping::wait)
+        let begin = |at: usize| self.buses[at].begin_stop_all(self.kinds[at], MotorSet::EMPTY);
+        array::from_fn::<_, M, _>(begin).map(Stopping::wait)
     }
 }
 

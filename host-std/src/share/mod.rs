@@ -124,8 +124,8 @@
 //!   moves a motor until the bus works again. If it works again before any call got the error, the next call gets it. A
 //!   command that ends motion is accepted nevertheless. The thread goes on and tries again.
 //! - **The driver of the bus panics:** the motors are stopped, as far as the driver still works, and every call says so
-//!   from then on. Nobody speaks to them any more: their protection lets their loads go. Subscriptions get the motors that have not confirmed this stop; if the driver panics again, all
-//!   motors.
+//!   from then on. Nobody speaks to them any more: their protection lets their loads go. Subscriptions get the motors
+//!   that have not confirmed this stop; if the driver panics again, all motors.
 //! - **The driver does not return:** after 2 s each call says so, and each stop counts as unconfirmed.
 
 mod calls;

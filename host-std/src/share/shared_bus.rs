@@ -396,9 +396,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Gives up the place of an id without a motor; until then each stop of all waits for that id. If there is a motor
-    /// later, no stop of all and no guard reaches it until it is spoken to. If the id is
-    /// being spoken to, or what was sent may still move a motor there, this happens when that is over, unless it
-    /// answers or is spoken to again. Does not wait.
+    /// later, no stop of all and no guard reaches it until it is spoken to. If the id is being spoken to, or what was
+    /// sent may still move a motor there, this happens when that is over, unless it answers or is spoken to again. Does
+    /// not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
@@ -413,7 +413,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Watches these motors, which a loop of this thread moves, and that loop. If it hangs, all motors are stopped, as
-    /// `kind` says unless another watch is to hold its motors. See [`Watch`].
+    /// `kind` says unless others are to be held. See [`Watch`].
     pub fn watch(&self, motors: MotorSet, kind: StopKind) -> Watch<E> {
         Watch::new(Arc::clone(&self.0.desk), motors, kind)
     }

@@ -331,18 +331,18 @@ impl<E> State<E> {
         for watched in &mut self.watches {
             is_any_late |= clerk.watch(watched);
         }
-        // What another loop is to hold may fall, and that loop may be late in a moment.
-        let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
-            || !self.stopped.without(self.switched_off).is_empty()
-            || clerk.is_any_held();
-        self.watches.retain(|watched| !watched.has_panicked());
         // A panic may come under a stop.
         if is_any_late && !self.stops_all {
+            // What another loop is to hold may fall, and that loop may be late in a moment.
+            let is_any_held = self.watches.iter().any(|watched| watched.kind == StopKind::Hold)
+                || !self.stopped.without(self.switched_off).is_empty()
+                || clerk.is_any_held();
             let kind = if is_any_held { StopKind::Hold } else { StopKind::Off };
             let (answer, Waiting { asker, .. }) = Waiting::new();
             // It is refused only by a bus that has panicked. Nobody waits for it.
             let _ = self.order(Order::StopAll { kind, also: MotorSet::EMPTY, asker, answer });
         }
+        self.watches.retain(|watched| !watched.has_panicked());
     }
 
     /// Hands the clerk the orders.

@@ -32,8 +32,9 @@ use super::desk::Desk;
 use super::{Guard, Guards, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};
+use crate::sim::bus::rs485::SerialError;
 use crate::sim::bus::trace::{self, Log};
-use crate::sim::{CanFleet, Fleet};
+use crate::sim::{CanFleet, Fleet, LineFleet};
 
 type SimMaster = CanMaster<CanPort, SimClock<CanBus>, 8>;
 
@@ -57,6 +58,15 @@ pub(super) fn shared_fleet(fleet: &Fleet) -> (CanFleet, SharedBus<CanError>) {
     let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
     held_after(&bus, NOT_HELD);
     (fleet, bus)
+}
+
+/// The same on a line of this bit rate.
+fn shared_line(motors: u8, bit_rate: u32) -> (LineFleet, SharedBus<SerialError>) {
+    let fleet = Fleet::new(motors).on_rs485(bit_rate).unwrap();
+    let (port, clock) = (fleet.world.port(), fleet.world.clock());
+    let master = SerialMaster::<_, _, 8>::new(port, clock, Config::rs485(bit_rate, false));
+    let world = fleet.world.clone().in_real_time();
+    (fleet, SharedBus::with_wake(master, move || world.wake(), StopKind::Hold))
 }
 
 /// Longer than a busy machine keeps a thread from its work.
@@ -430,11 +440,7 @@ fn motors_that_were_told_nothing_are_asked_while_a_function_waits() {
 /// It is not told, and does not move: its bus has no such command.
 #[test]
 fn a_set_point_that_is_refused_ends_no_holding() {
-    let fleet = Fleet::new(1).on_rs485(1_000_000).unwrap();
-    let (port, clock) = (fleet.world.port(), fleet.world.clock());
-    let master = SerialMaster::<_, _, 8>::new(port, clock, Config::rs485(1_000_000, false));
-    let world = fleet.world.clone().in_real_time();
-    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    let (fleet, bus) = shared_line(1, 1_000_000);
     bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
     bus.ask(id(1), Stop).unwrap();
     let motion = MotionRanges::V4_3.quantise(&MotionSetPoint::default()).unwrap();
@@ -1252,11 +1258,7 @@ fn panic_of_the_bus_stops_the_motors_and_is_returned() {
 /// On a line that two streams fill.
 #[test]
 fn a_motor_that_holds_is_asked_on_a_full_line() {
-    let fleet = Fleet::new(3).on_rs485(115_200).unwrap();
-    let (port, clock) = (fleet.world.port(), fleet.world.clock());
-    let master = SerialMaster::<_, _, 8>::new(port, clock, Config::rs485(115_200, false));
-    let world = fleet.world.clone().in_real_time();
-    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    let (fleet, bus) = shared_line(3, 115_200);
     for motor in 1..=3 {
         bus.ask(id(motor), ReadStatus1).unwrap();
     }

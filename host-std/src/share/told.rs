@@ -1,6 +1,7 @@
 //! Which motors hold still, and which may be moving.
 
-use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::command::{AnyReply, Command, ReadStatus1, Status1};
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Kind, MotorId, Opcode};
 
 /// What a motor was told last of its motion.
@@ -40,27 +41,47 @@ impl Told {
     }
 
     /// A motor that holds already goes on, whether or not it confirms that again.
-    pub(super) fn stops(&mut self, motors: MotorSet, kind: StopKind) {
-        for motor in motors.iter() {
-            let last = &mut self.0[motor.index()];
-            if (*last, kind) != (Last::ToHold, StopKind::Hold) {
-                *last = Last::ToStop(kind);
-            }
+    pub(super) fn stops(&mut self, motor: MotorId, kind: StopKind) {
+        let last = &mut self.0[motor.index()];
+        if (*last, kind) != (Last::ToHold, StopKind::Hold) {
+            *last = Last::ToStop(kind);
         }
     }
 
     /// Told by a command that ends motion. One that locks its brake ends a motion, and switches nothing on.
     pub(super) fn ends_motion(&mut self, motor: MotorId, by: Kind) {
         match (StopKind::by(by), self.0[motor.index()]) {
-            (Some(kind), _) => self.stops(motor.into(), kind),
-            (None, Last::ToFollow | Last::ToMove) => self.stops(motor.into(), StopKind::Hold),
+            (Some(kind), _) => self.stops(motor, kind),
+            (None, Last::ToFollow | Last::ToMove) => self.stops(motor, StopKind::Hold),
             (None, Last::ToHold) if by == Opcode::Reset.into() => self.lets_go(motor),
             (None, _) => {}
         }
     }
 
+    /// Takes note of what an event says of a motor. Returns the status of one that is in error.
+    pub(super) fn note(
+        &mut self,
+        event: &Event,
+        is_silent: impl Fn(MotorId) -> bool,
+    ) -> Option<(MotorId, Status1)> {
+        match *event {
+            Event::StopConfirmed { motor } => self.confirmed(motor),
+            Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
+                self.confirmed(ticket.motor());
+            }
+            Event::LostMaster { motor } => self.lets_go(motor),
+            // After a mere silence it may hold all the same.
+            Event::Restarted { motor } if !is_silent(motor) => self.lets_go(motor),
+            _ => {}
+        }
+        let (motor, status) = status_in(event)?;
+        let is_in_error = !status.errors.is_empty();
+        self.reports(motor, is_in_error);
+        is_in_error.then_some((motor, status))
+    }
+
     /// It has confirmed what ends its motion. That says nothing of what it was told since.
-    pub(super) fn confirmed(&mut self, motor: MotorId) {
+    fn confirmed(&mut self, motor: MotorId) {
         self.change(motor, Last::ToStop(StopKind::Hold), Last::ToHold);
     }
 
@@ -70,7 +91,7 @@ impl Told {
     }
 
     /// Its drive says whether it is in error.
-    pub(super) fn reports(&mut self, motor: MotorId, is_in_error: bool) {
+    fn reports(&mut self, motor: MotorId, is_in_error: bool) {
         match (is_in_error, self.0[motor.index()]) {
             // It is off in any case.
             (true, Last::ToStop(StopKind::Off)) => {}
@@ -113,6 +134,17 @@ impl Told {
     }
 }
 
+/// The status (0x9A) that a motor has sent.
+fn status_in(event: &Event) -> Option<(MotorId, Status1)> {
+    match event {
+        Event::Report { motor, reply: AnyReply::ReadStatus1(status) } => Some((*motor, *status)),
+        Event::Reply { ticket, data, .. } => {
+            Some((ticket.motor(), ReadStatus1::decode_reply(data).ok()?))
+        }
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -125,8 +157,8 @@ mod tests {
         let follows: Step = |told| told.follows(MOTOR);
         let moves: Step = |told| told.moves(MOTOR);
         let arrives: Step = |told| told.has_arrived(MOTOR);
-        let is_to_hold: Step = |told| told.stops(MOTOR.into(), StopKind::Hold);
-        let is_to_be_off: Step = |told| told.stops(MOTOR.into(), StopKind::Off);
+        let is_to_hold: Step = |told| told.stops(MOTOR, StopKind::Hold);
+        let is_to_be_off: Step = |told| told.stops(MOTOR, StopKind::Off);
         let locks: Step = |told| told.ends_motion(MOTOR, Opcode::LockBrake.into());
         let stops: Step = |told| told.ends_motion(MOTOR, Opcode::Stop.into());
         let shuts_down: Step = |told| told.ends_motion(MOTOR, Opcode::Shutdown.into());

@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time;
 
-use myactuator_protocol_core::command::{AnyReply, Command, ReadStatus1, Status1};
+use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, Presence, StopKind, Ticket};
@@ -76,17 +76,6 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
         let _ = stop.answer.send(Ok(stop.unconfirmed.without(confirmed)));
     }
     desk.end();
-}
-
-/// The status (0x9A) that a motor has sent.
-fn status_in(event: &Event) -> Option<(MotorId, Status1)> {
-    match event {
-        Event::Report { motor, reply: AnyReply::ReadStatus1(status) } => Some((*motor, *status)),
-        Event::Reply { ticket, data, .. } => {
-            Some((ticket.motor(), ReadStatus1::decode_reply(data).ok()?))
-        }
-        _ => None,
-    }
 }
 
 /// The message of a panic.
@@ -209,36 +198,20 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         {
             desk.has_restarted(motor);
         }
+        let master = self.runner.master();
+        let is_silent = |motor| master.health(motor).presence == Presence::Silent;
+        let in_error = self.told.note(event, is_silent);
         match *event {
-            Event::StopConfirmed { motor } => {
-                self.told.confirmed(motor);
-                self.to_forget.remove(motor);
-            }
-            Event::Reply { ticket, kind, .. } => {
-                if kind.ends_motion() {
-                    self.told.confirmed(ticket.motor());
-                }
-                self.to_forget.remove(ticket.motor());
-            }
-            Event::LostMaster { motor } => self.told.lets_go(motor),
-            // After a mere silence it may hold all the same.
-            Event::Restarted { motor }
-                if self.runner.master().health(motor).presence != Presence::Silent =>
-            {
-                self.told.lets_go(motor);
-            }
+            Event::StopConfirmed { motor } => self.to_forget.remove(motor),
+            Event::Reply { ticket, .. } => self.to_forget.remove(ticket.motor()),
             _ => {}
-        }
-        let status = status_in(event);
-        if let Some((motor, status)) = status {
-            self.told.reports(motor, !status.errors.is_empty());
         }
         desk.note(event);
         let now = self.runner.now();
         let of_work = self.at_work.as_mut().is_some_and(|it| it.takes(event, now));
         if self.holding.takes(event, now) || of_work {
             // An error concerns everybody.
-            if let Some((motor, status)) = status.filter(|(_, status)| !status.errors.is_empty()) {
+            if let Some((motor, status)) = in_error {
                 desk.publish(&Event::Report { motor, reply: AnyReply::ReadStatus1(status) });
             }
             return;
@@ -368,7 +341,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let stay_off = self.runner.master().switched_off();
         for motor in motors.iter() {
             let kind = if stay_off.contains(motor) { StopKind::Off } else { kind };
-            self.told.stops(motor.into(), kind);
+            self.told.stops(motor, kind);
         }
     }
 

@@ -6,6 +6,7 @@
 use embassy_futures::yield_now;
 
 use crate::command::{ReadRunTime, ReadStatus1};
+use crate::id::MotorId;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_IDLE;
@@ -121,22 +122,27 @@ impl KeepAlive {
         while self.asked.len() < most {
             let resting = master.longest_resting(motors, now, rest, LONGER_REST);
             let Some(motor) = resting else { return };
-            let is_put = match &mut self.waits_for {
-                WaitsFor::Anything { errors_next } if errors_next.contains(motor) => {
-                    errors_next.remove(motor);
-                    master.put_request(motor, &ReadStatus1, Some(once)).is_ok()
-                }
-                WaitsFor::Anything { errors_next } => {
-                    errors_next.insert(motor);
-                    master.put_request(motor, &ReadRunTime, Some(once)).is_ok()
-                }
-                _ => master.put_request(motor, &ReadRunTime, Some(once)).is_ok(),
+            let is_put = match self.is_turn_of_errors(motor) {
+                true => master.put_request(motor, &ReadStatus1, Some(once)).is_ok(),
+                false => master.put_request(motor, &ReadRunTime, Some(once)).is_ok(),
             };
             if !is_put {
                 return;
             }
             self.asked.insert(motor);
         }
+    }
+
+    /// Whether this motor is to be asked for its errors; then it is the run time's turn.
+    fn is_turn_of_errors(&mut self, motor: MotorId) -> bool {
+        let WaitsFor::Anything { errors_next } = &mut self.waits_for else { return false };
+        let is_turn = errors_next.contains(motor);
+        if is_turn {
+            errors_next.remove(motor)
+        } else {
+            errors_next.insert(motor)
+        }
+        is_turn
     }
 
     /// Whether this is the outcome of one of its questions, and so for nobody else, except for errors in a status

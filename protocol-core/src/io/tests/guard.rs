@@ -235,19 +235,24 @@ fn guarded_task_that_ends_stops_its_motor_once() {
 
 type BothBuses<'a> = Guards<'a, CanMaster<TestCan, TestClock, 4>, 2, 4>;
 
-/// Two buses at one clock, with motor 1 on each, of which the first carries nothing any more. Leaves them in this way;
-/// returns when motor 1 of the second was sent its stop, after that, and how long it took in all.
+/// Two buses at one clock, with motor 1 on each.
+fn both_buses() -> ([TestCan; 2], [CanMaster<TestCan, TestClock, 4>; 2]) {
+    let clock = TestClock::default();
+    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
+    let mut buses = cans.clone().map(|can| CanMaster::new(can, clock.clone(), Config::CAN));
+    for bus in &mut buses {
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    (cans, buses)
+}
+
+/// Of these buses the first carries nothing any more. Leaves them in this way; returns when motor 1 of the second was
+/// sent its stop, after that, and how long it took in all.
 fn of_two_the_first_is_cut(
     cut: fn(&mut CanState),
     leave: impl FnOnce(BothBuses<'_>),
 ) -> [Duration; 2] {
-    let clock = TestClock::default();
-    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
-    let mut buses =
-        cans.clone().map(|can| CanMaster::<_, _, 4>::new(can, clock.clone(), Config::CAN));
-    for bus in &mut buses {
-        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
-    }
+    let (cans, mut buses) = both_buses();
     cut(&mut cans[0].state());
     let begun = buses[1].now();
     leave(Guards::new(buses.each_mut(), [StopKind::Hold; 2]));
@@ -283,13 +288,7 @@ fn guards_of_several_buses_do_not_wait_for_each_other() {
 
 #[test]
 fn guards_stop_each_bus_in_its_own_way() {
-    let clock = TestClock::default();
-    let cans = [TestCan::new(&clock), TestCan::new(&clock)];
-    let mut buses =
-        cans.clone().map(|can| CanMaster::<_, _, 4>::new(can, clock.clone(), Config::CAN));
-    for bus in &mut buses {
-        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
-    }
+    let (cans, mut buses) = both_buses();
     let kinds = [StopKind::Off, StopKind::Hold];
     assert_eq!(Guards::new(buses.each_mut(), kinds).finish(), [MotorSet::EMPTY; 2]);
     let stops = [Shutdown.encode(), Stop.encode()];
