@@ -14,7 +14,8 @@ use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
-use super::state::{Clerk, LaidDown, Latest, Life, Past, Put, State};
+use super::past::Past;
+use super::state::{Clerk, LaidDown, Latest, Life, Put, State};
 use super::subscription::{Subscriber, Subscription};
 use super::{LoopError, SharedBusError};
 use crate::open::{Wake, since_boot};
@@ -374,7 +375,7 @@ impl<E> Desk<E> {
             }
             let is_busy = busy.contains(motor);
             match if is_busy { Put::Waits(question) } else { clerk.put(question) } {
-                Put::Accepted => state.note_motion(motor, kind),
+                Put::Accepted => state.slot(motor).past.note_command(kind),
                 Put::Refused => {}
                 Put::Waits(question) => {
                     busy.insert(motor);

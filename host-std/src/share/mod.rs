@@ -132,6 +132,7 @@ mod calls;
 mod desk;
 mod error;
 mod guard;
+mod past;
 mod shared_bus;
 mod state;
 mod subscription;

@@ -11,7 +11,8 @@ use myactuator_protocol_core::{Command, Data, MotorId};
 
 use super::calls::{Awaited, Insistence, Order, Untyped};
 use super::desk::Desk;
-use super::state::{Latest, Past};
+use super::past::Past;
+use super::state::Latest;
 use super::{SharedBusError, Subscription, Watch, worker};
 use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 

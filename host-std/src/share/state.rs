@@ -12,6 +12,7 @@ use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
 use super::calls::{Order, Question, Untyped, Waiting};
+use super::past::Past;
 use super::subscription::Subscriber;
 use super::watch::Watched;
 use super::{LoopError, SharedBusError};
@@ -37,36 +38,6 @@ pub(super) struct LaidDown {
     pub(super) laid_at: Duration,
     /// When it was first found, if it has to wait for a question that ends motion: it is at least as old as that.
     pub(super) found_at: Option<time::Instant>,
-}
-
-/// What has happened to a motor that nothing older may follow.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Past {
-    /// How often its motion was to be ended, by a stop or otherwise.
-    ended: u32,
-    /// Whether it was let go since it was last held or commanded to move.
-    is_let_go: bool,
-    /// How often it was reported to have restarted.
-    restarts: u32,
-    /// How often it was told to move.
-    moves: u32,
-}
-
-impl Past {
-    /// The caller has ended the motion itself, which does not hold back its own commands.
-    pub(super) fn note_own_end(&mut self) {
-        self.ended = self.ended.wrapping_add(1);
-    }
-
-    /// It is told to move.
-    pub(super) fn note_move(&mut self) {
-        self.moves = self.moves.wrapping_add(1);
-    }
-
-    /// Whether it was told to move by others since `since`.
-    pub(super) fn was_moved_since(&self, since: Self) -> bool {
-        self.moves != since.moves
-    }
 }
 
 /// What callers have left for a motor, and may find of it.
@@ -231,27 +202,15 @@ impl<E> State<E> {
         Ok(())
     }
 
-    /// Takes note of a command that the master has accepted.
-    pub(super) fn note_motion(&mut self, motor: MotorId, kind: Kind) {
-        // The motor may run from now on, so a stop that holds it must not leave it off.
-        if kind.may_move() {
-            self.slot(motor).past.is_let_go = false;
-            self.slot(motor).past.note_move();
-        }
-    }
-
     /// Whether a motor is stopped, or its motion was to be ended since `since`; `None` for a caller that begins now.
     pub(super) fn is_stopped(&self, motor: MotorId, since: Option<Past>) -> bool {
-        self.was_ended_since(motor, since) || self.stops_all || self.stopped.contains(motor)
-    }
-
-    fn was_ended_since(&self, motor: MotorId, since: Option<Past>) -> bool {
-        since.is_some_and(|since| since.ended != self.past(motor).ended)
+        let was_ended = since.is_some_and(|since| self.past(motor).was_ended_since(since));
+        was_ended || self.stops_all || self.stopped.contains(motor)
     }
 
     /// Whether a motor has restarted and was not resumed, or has restarted since `since`.
     pub(super) fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
-        let has_since = since.is_some_and(|since| since.restarts != self.past(motor).restarts);
+        let has_since = since.is_some_and(|since| self.past(motor).has_restarted_since(since));
         has_since || self.restarted.contains(motor)
     }
 
@@ -262,7 +221,7 @@ impl<E> State<E> {
         kind: StopKind,
         since: Option<Past>,
     ) -> StopKind {
-        match self.was_ended_since(motor, since) && self.past(motor).is_let_go {
+        match since.is_some_and(|since| self.past(motor).was_let_go_since(since)) {
             true => StopKind::Off,
             false => kind,
         }
@@ -414,7 +373,7 @@ impl<E> State<E> {
             }
             let kind = command.kind;
             match clerk.set_point(motor, command, found_at) {
-                Ok(()) => self.note_motion(motor, kind),
+                Ok(()) => self.slot(motor).past.note_command(kind),
                 Err(refusal) => slot.refusal = Some(refusal),
             }
         }
@@ -445,13 +404,7 @@ impl<E> State<E> {
             let stays_off = self.switched_off.contains(motor);
             let Slot { set_point, past, .. } = self.slot(motor);
             *set_point = None;
-            past.ended = past.ended.wrapping_add(1);
-            past.is_let_go = match by {
-                Some(StopKind::Off) => true,
-                Some(StopKind::Hold) => stays_off,
-                // A command that locks a brake does not switch the motor on.
-                None => past.is_let_go,
-            };
+            past.note_end(by, stays_off);
         }
         self.drop_questions(|motor, kind| {
             let is_dropped = motors.contains(motor) && is_over(kind);
@@ -474,7 +427,7 @@ impl<E> State<E> {
         self.restarted.insert(restarted);
         let Slot { set_point, past, .. } = self.slot(restarted);
         *set_point = None;
-        past.restarts = past.restarts.wrapping_add(1);
+        past.note_restart();
         self.drop_questions(|motor, kind| {
             let is_dropped = motor == restarted && kind.moves();
             let refusal = RequestError::Restarted;

@@ -18,7 +18,7 @@ use myactuator_protocol_core::{Command, MotorId, Opcode};
 
 use super::calls::{Insistence, Order};
 use super::desk::Opening;
-use super::state::Past;
+use super::past::Past;
 use super::{SharedBus, SharedBusError};
 
 impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
@@ -242,11 +242,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         drop(at_work);
         // It may have been sent, whatever the outcome.
         let is_refused = matches!(reply, Err(SharedBusError::Refused { .. }));
-        if ends_motion && !is_refused {
-            self.since.note_own_end();
-        }
-        if command.kind().may_move() && !is_refused {
-            self.since.note_move();
+        if !is_refused {
+            self.since.note_own(command.kind());
         }
         if ends_motion {
             self.opening = None;

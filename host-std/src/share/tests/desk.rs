@@ -560,7 +560,7 @@ fn caller_goes_on_after_its_own_stop_but_not_after_anothers() {
     let mut since = desk.past(id(1));
     drop(desk.ask(id(1), Untyped::of(&Stop), Insistence::Usual, Some(since)).unwrap());
     assert!(release(since).is_err());
-    since.note_own_end();
+    since.note_own(Untyped::of(&Stop).kind);
     assert!(release(since).is_ok());
     drop(ask(&desk, 1, Stop));
     assert!(release(since).is_err());
@@ -587,7 +587,7 @@ fn an_arrival_says_nothing_of_what_others_have_told_the_motor() {
                 taken(&desk);
             }
         }
-        since.note_move();
+        since.note_own(Untyped::of(&turn(1.0)).kind);
         desk.note_arrival(id(1), since);
         assert_eq!(taken(&desk), expected);
     }
