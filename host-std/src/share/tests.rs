@@ -2,6 +2,7 @@
 
 mod desk;
 mod failing;
+mod holding;
 mod watch;
 
 use std::any::Any;
@@ -311,186 +312,6 @@ fn motor_moved_again_before_its_stop_is_confirmed_is_let_go_by_its_protection() 
         bus.restart(id(1)).unwrap();
         assert!(!fleet.drives[2].with(|drive| drive.state()).output_on, "{number}");
     }
-}
-
-/// Whoever moved them has stopped them, and need not keep them alive any more. A restart takes more than a second.
-#[test]
-fn motors_that_were_moved_and_stopped_hold_while_another_is_restarted() {
-    let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
-    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
-    for motor in [2, 3] {
-        bus.protect(id(motor), Milliseconds::from_raw(300)).unwrap();
-    }
-    // Behind that: virtual time goes on while a function is at work, and what its thread moves is not asked.
-    for motor in [2, 3] {
-        bus.ask(id(motor), turn(90.0)).unwrap();
-    }
-    bus.ask(id(2), Stop).unwrap();
-    assert_eq!(bus.stop(id(3), StopKind::Hold).unwrap(), MotorSet::EMPTY);
-    bus.restart(id(1)).unwrap();
-    for drive in &fleet.drives[1..] {
-        assert!(drive.with(|drive| drive.state()).output_on, "motor {}", drive.motor());
-    }
-}
-
-type Tell = fn(&SharedBus<CanError>);
-
-/// Half a second after each of these a motor with a shorter protection has lost its master, or has not.
-fn has_let_go_after<const M: usize>(tell: [Tell; M]) -> [bool; M] {
-    let (fleet, bus) = shared(1);
-    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
-    tell.map(|tell| {
-        tell(&bus);
-        thread::sleep(time::Duration::from_millis(500));
-        fleet.drives[0].with(|drive| drive.state().communication_lost)
-    })
-}
-
-/// Whoever waits for a person, or for another bus to be ready, speaks to nobody.
-#[test]
-fn motors_that_hold_are_asked_until_they_are_told_otherwise() {
-    let holds: [Tell; 5] = [
-        |bus| {
-            let there = AbsolutePosition {
-                max_speed: MaxSpeed::from_dps(90.0).unwrap(),
-                angle: Angle::from_degrees(5.0).unwrap(),
-            };
-            let go_on = |_: &_| ControlFlow::Continue(());
-            bus.move_to(id(1), there, &MoveLimits::default(), go_on).unwrap();
-        },
-        |bus| assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty()),
-        |bus| assert!(bus.stop(id(1), StopKind::Hold).unwrap().is_empty()),
-        |bus| bus.release_brake(id(1)).unwrap(),
-        |bus| assert!(bus.ask(id(1), Stop).is_ok()),
-    ];
-    let turns: [Tell; 2] = [
-        |bus| bus.set_point(id(1), turn(30.0)).unwrap(),
-        |bus| assert!(bus.ask(id(1), turn(30.0)).is_ok()),
-    ];
-    for (hold, turn) in holds.into_iter().zip(turns.into_iter().cycle()) {
-        let lift: Tell = |bus| bus.lift_stop().unwrap();
-        assert_eq!(has_let_go_after([hold, lift, turn]), [false, false, true]);
-    }
-}
-
-/// Its protection may lock a brake behind which nothing holds. Whoever waits meanwhile learns of it.
-#[test]
-fn a_motor_in_error_is_not_asked() {
-    let (fleet, bus) = shared(1);
-    let mut events = bus.subscribe(1_000);
-    assert!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap().is_empty());
-    let log = fleet.world.log();
-    thread::sleep(time::Duration::from_millis(500));
-    assert!(!packets(&log).is_empty());
-    fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
-    thread::sleep(time::Duration::from_millis(500));
-    log.take();
-    thread::sleep(time::Duration::from_millis(300));
-    assert_eq!(packets(&log), []);
-    assert!(events.any(|event| matches!(event, Event::Report { motor, .. } if motor == id(1))));
-}
-
-/// It may hold all the same, or does so again.
-#[test]
-fn a_motor_that_was_silent_for_a_second_is_asked_when_it_is_back() {
-    let (fleet, bus) = shared(1);
-    bus.ask(id(1), Stop).unwrap();
-    let station = fleet.drives[0].station();
-    fleet.world.cut(station);
-    thread::sleep(time::Duration::from_millis(1_300));
-    fleet.world.mend(station);
-    let log = fleet.world.log();
-    thread::sleep(time::Duration::from_millis(500));
-    assert!(bus.has_restarted(id(1)));
-    assert!(packets(&log).len() > 4);
-}
-
-/// Others are spoken to all the time.
-#[test]
-fn dead_ids_are_forgotten_though_they_were_just_asked() {
-    let (fleet, bus) = shared(3);
-    for motor in 1..=3 {
-        bus.ask(id(motor), Stop).unwrap();
-    }
-    for drive in &fleet.drives[..2] {
-        fleet.world.cut(drive.station());
-    }
-    thread::sleep(time::Duration::from_millis(300));
-    for motor in [1, 2] {
-        bus.forget(id(motor)).unwrap();
-    }
-    let begun = time::Instant::now();
-    while begun.elapsed() < time::Duration::from_millis(200) {
-        bus.set_point(id(3), turn(10.0)).unwrap();
-        thread::sleep(time::Duration::from_millis(1));
-    }
-    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
-}
-
-/// They may hold a load: nobody knows.
-#[test]
-fn motors_that_were_told_nothing_are_asked_while_a_function_waits() {
-    let (fleet, bus) = shared(2);
-    bus.protect(id(2), Milliseconds::from_raw(300)).unwrap();
-    bus.ask(id(1), ReadStatus1).unwrap();
-    bus.restart(id(1)).unwrap();
-    assert!(!fleet.drives[1].with(|drive| drive.state()).communication_lost);
-}
-
-/// It is not told, and does not move: its bus has no such command.
-#[test]
-fn a_set_point_that_is_refused_ends_no_holding() {
-    let (fleet, bus) = shared_line(1, 1_000_000);
-    bus.protect(id(1), Milliseconds::from_raw(300)).unwrap();
-    bus.ask(id(1), Stop).unwrap();
-    let motion = MotionRanges::V4_3.quantise(&MotionSetPoint::default()).unwrap();
-    let _ = bus.set_point(id(1), motion);
-    thread::sleep(time::Duration::from_millis(500));
-    assert!(!fleet.drives[0].with(|drive| drive.state()).communication_lost);
-}
-
-/// It would keep a brake open behind which nothing holds.
-#[test]
-fn motors_that_are_off_are_not_asked() {
-    let off: [Tell; 4] = [
-        |bus| {
-            // It stays off, also when both are lifted.
-            assert!(bus.stop(id(1), StopKind::Off).unwrap().is_empty());
-            assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap().is_empty());
-            bus.lift_stop().unwrap();
-        },
-        |bus| assert!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap().is_empty()),
-        |bus| {
-            // It stays off.
-            for kind in [StopKind::Off, StopKind::Hold] {
-                assert!(bus.stop(id(1), kind).unwrap().is_empty());
-            }
-        },
-        |bus| assert!(bus.ask(id(1), Shutdown).is_ok()),
-    ];
-    for off in off {
-        let hold: Tell = |bus| assert!(bus.ask(id(1), Stop).is_ok());
-        assert_eq!(has_let_go_after([hold, off]), [false, true]);
-    }
-}
-
-/// They come when the function that asked is over.
-#[test]
-fn nobody_hears_how_questions_that_keep_motors_alive_have_ended() {
-    let (fleet, bus) = shared(2);
-    bus.ask(id(1), ReadStatus1).unwrap();
-    bus.ask(id(2), ReadStatus1).unwrap();
-    fleet.world.cut(fleet.drives[1].station());
-    let mut events = bus.subscribe(10_000);
-    // A question to it is under way for 20 ms of each 100.
-    for pause in 0..20 {
-        bus.wait_until_stands(id(1), Duration::from_secs(60)).unwrap();
-        thread::sleep(time::Duration::from_millis(30 + pause));
-    }
-    drop(bus);
-    let of_second =
-        |event| matches!(event, Event::Failed { ticket, .. } if ticket.motor() == id(2));
-    assert!(!events.any(of_second));
 }
 
 #[test]
@@ -1188,7 +1009,7 @@ fn last_handle_stops_all_again_if_the_last_stop_is_a_second_ago() {
     }
     drop(bus);
     let stops = packets(&log).iter().filter(|packet| packet.data[0] == 0x81).count();
-    assert_eq!(stops, 2, "the stop and its confirmation");
+    assert_eq!(stops, 6, "after the silence it has to confirm the stop three times");
 }
 
 /// The thread of the bus sees the stop and the end at the same time.
@@ -1253,24 +1074,4 @@ fn panic_of_the_bus_stops_the_motors_and_is_returned() {
     assert_eq!(events.by_ref().filter(|event| !matches!(event, Event::Reply { .. })).count(), 0);
     drop(bus);
     assert_eq!(packets(&log).last().map(|packet| packet.data[0]), Some(0x81));
-}
-
-/// On a line that two streams fill.
-#[test]
-fn a_motor_that_holds_is_asked_on_a_full_line() {
-    let (fleet, bus) = shared_line(3, 115_200);
-    for motor in 1..=3 {
-        bus.ask(id(motor), ReadStatus1).unwrap();
-    }
-    bus.protect(id(3), Milliseconds::from_raw(300)).unwrap();
-    assert!(bus.stop(id(3), StopKind::Hold).unwrap().is_empty());
-    let begun = time::Instant::now();
-    while begun.elapsed() < time::Duration::from_millis(1_000) {
-        for motor in [1, 2] {
-            bus.set_point(id(motor), turn(30.0)).unwrap();
-        }
-        thread::sleep(time::Duration::from_millis(1));
-        let state = fleet.drives[2].with(|drive| drive.state());
-        assert!(!state.communication_lost, "after {:?}", begun.elapsed());
-    }
 }

@@ -59,19 +59,15 @@ impl Told {
     }
 
     /// Takes note of what an event says of a motor. Returns the status of one that is in error.
-    pub(super) fn note(
-        &mut self,
-        event: &Event,
-        is_silent: impl Fn(MotorId) -> bool,
-    ) -> Option<(MotorId, Status1)> {
+    pub(super) fn note(&mut self, event: &Event) -> Option<(MotorId, Status1)> {
         match *event {
             Event::StopConfirmed { motor } => self.confirmed(motor),
             Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
                 self.confirmed(ticket.motor());
             }
             Event::LostMaster { motor } => self.lets_go(motor),
-            // After a mere silence it may hold all the same.
-            Event::Restarted { motor } if !is_silent(motor) => self.lets_go(motor),
+            // A restart may be reported after a mere silence, in which it holds all the same. One that has restarted is
+            // off, and asking it does no harm.
             _ => {}
         }
         let (motor, status) = status_in(event)?;
@@ -85,18 +81,16 @@ impl Told {
         self.change(motor, Last::ToStop(StopKind::Hold), Last::ToHold);
     }
 
-    /// Its drive has restarted, or has lost its master.
-    pub(super) fn lets_go(&mut self, motor: MotorId) {
+    /// Its drive was told to restart, or has lost its master.
+    fn lets_go(&mut self, motor: MotorId) {
         self.change(motor, Last::ToHold, Last::Nothing);
     }
 
     /// Its drive says whether it is in error.
     fn reports(&mut self, motor: MotorId, is_in_error: bool) {
-        match (is_in_error, self.0[motor.index()]) {
-            // It is off in any case.
-            (true, Last::ToStop(StopKind::Off)) => {}
-            (true, _) => self.0[motor.index()] = Last::InError,
-            (false, _) => self.change(motor, Last::InError, Last::Nothing),
+        // One that was switched off is off in any case. When the error has gone, it may go on as it was told before.
+        if is_in_error && self.0[motor.index()] != Last::ToStop(StopKind::Off) {
+            self.0[motor.index()] = Last::InError;
         }
     }
 
@@ -123,10 +117,11 @@ impl Told {
         !self.with(is_held).is_empty()
     }
 
-    /// Those that may be moving, are off or are in error. Their protection ends what a thread that hangs has begun, or
-    /// locks a brake behind which nothing holds.
-    pub(super) fn left_alone(&self) -> MotorSet {
-        self.with(|last| !matches!(last, Last::Nothing | Last::ToHold))
+    /// Those that were told nothing of their motion. All others but those that hold are left alone: they may be moving,
+    /// are off or are in error. Their protection ends what a thread that hangs has begun, or locks a brake behind which
+    /// nothing holds.
+    pub(super) fn untold(&self) -> MotorSet {
+        self.with(|last| last == Last::Nothing)
     }
 
     fn with(&self, is_it: impl Fn(Last) -> bool) -> MotorSet {
@@ -199,7 +194,9 @@ mod tests {
             (&[moves, restarts], is_left_alone),
             (&[is_to_hold, confirms, fails], is_left_alone),
             (&[is_to_hold, fails, confirms], is_left_alone),
-            (&[is_to_hold, confirms, fails, is_well], neither),
+            (&[is_to_hold, confirms, fails, is_well], is_left_alone),
+            (&[moves, fails, is_well], is_left_alone),
+            (&[fails, is_well], is_left_alone),
             (&[is_to_hold, confirms, is_well], holds),
             (&[shuts_down, fails, is_well], is_left_alone),
             (&[moves, is_forgotten], neither),
@@ -210,7 +207,8 @@ mod tests {
             let mut told = Told::default();
             steps.iter().for_each(|step| step(&mut told));
             let is_in = |motors: MotorSet| motors.contains(MOTOR);
-            assert_eq!((is_in(told.holding()), is_in(told.left_alone())), *expected, "{number}");
+            let is_left_alone = !is_in(told.holding().with(told.untold()));
+            assert_eq!((is_in(told.holding()), is_left_alone), *expected, "{number}");
         }
         // Who would fall.
         let cases: [(&[Step], bool); 6] = [
@@ -225,6 +223,42 @@ mod tests {
             let mut told = Told::default();
             steps.iter().for_each(|step| step(&mut told));
             assert_eq!(told.is_any_held(), expected, "{number}");
+        }
+    }
+
+    #[test]
+    fn events_say_whether_a_motor_holds() {
+        use myactuator_protocol_core::command::{ReadMultiTurnAngle, Stop};
+        use myactuator_protocol_core::master::{Config, Master};
+
+        // Tickets are the master's own.
+        let mut master = Master::<1>::new(Config::CAN);
+        let ticket = master.request(MOTOR, ReadMultiTurnAngle).unwrap().id();
+        let reply = |kind: Kind, data| Event::Reply { ticket, kind, data };
+        // Status 1 (2.14.4), without an error and with one (0x0002, stall).
+        let status = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
+        let in_error = [0x9A, 50, 30, 1, 0xE5, 0x01, 2, 0];
+        let report = |data| {
+            let reply = AnyReply::ReadStatus1(ReadStatus1::decode_reply(data).unwrap());
+            Event::Report { motor: MOTOR, reply }
+        };
+        let to_hold = Last::ToStop(StopKind::Hold);
+        for (before, event, after, is_error) in [
+            (to_hold, Event::StopConfirmed { motor: MOTOR }, Last::ToHold, false),
+            (to_hold, reply(Opcode::Stop.into(), Stop.encode()), Last::ToHold, false),
+            (to_hold, reply(Opcode::ReadMultiTurnAngle.into(), [0x92; 8]), to_hold, false),
+            (to_hold, reply(Opcode::ReadStatus1.into(), status), to_hold, false),
+            (Last::ToHold, Event::StopUnconfirmed { motor: MOTOR }, Last::ToHold, false),
+            (Last::ToHold, Event::Restarted { motor: MOTOR }, Last::ToHold, false),
+            (Last::ToHold, Event::LostMaster { motor: MOTOR }, Last::Nothing, false),
+            (Last::ToHold, reply(Opcode::ReadStatus1.into(), in_error), Last::InError, true),
+            (Last::ToHold, report(&in_error), Last::InError, true),
+            (Last::ToHold, report(&status), Last::ToHold, false),
+        ] {
+            let mut told = Told::default();
+            told.0[MOTOR.index()] = before;
+            assert_eq!(told.note(&event).is_some(), is_error, "{event:?}");
+            assert_eq!(told.0[MOTOR.index()], after, "{event:?}");
         }
     }
 }

@@ -8,7 +8,7 @@ use std::time;
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
-use myactuator_protocol_core::master::{Event, MotorSet, Presence, StopKind, Ticket};
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
 
@@ -89,9 +89,9 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
-    /// While a stop or a function waits for one motor, all are asked but those that are [left alone](Told::left_alone).
+    /// Asks those that were [told nothing](Told::untold) while a stop or a function waits for one motor.
     at_work: Option<KeepAlive>,
-    /// Otherwise those that hold.
+    /// Asks those that hold.
     holding: KeepAlive,
     /// These are to be forgotten once they are not spoken to.
     to_forget: MotorSet,
@@ -198,9 +198,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         {
             desk.has_restarted(motor);
         }
-        let master = self.runner.master();
-        let is_silent = |motor| master.health(motor).presence == Presence::Silent;
-        let in_error = self.told.note(event, is_silent);
+        let in_error = self.told.note(event);
         match *event {
             Event::StopConfirmed { motor } => self.to_forget.remove(motor),
             Event::Reply { ticket, .. } => self.to_forget.remove(ticket.motor()),
@@ -388,7 +386,6 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::NoteArrival(motor) => self.told.has_arrived(motor),
             Order::Wait { until, answer } => self.waiting.push((until, answer)),
             Order::Forget(motor) => {
-                self.told.lets_go(motor);
                 // While it is spoken to it keeps its place.
                 self.to_forget.insert(motor);
                 self.forget();
@@ -412,11 +409,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         let (now, master) = (self.runner.now(), self.runner.master());
         if self.is_any_waiting {
             let at_work = self.at_work.get_or_insert(KeepAlive::of_stop(now));
-            at_work.ask(MotorSet::ALL.without(self.told.left_alone()), master, now);
-            return;
+            at_work.ask(self.told.untold(), master, now);
+        } else {
+            // What is still to come of these questions is for nobody.
+            self.at_work.take_if(|it| !it.is_waiting());
         }
-        // What is still to come of these questions is for nobody.
-        self.at_work.take_if(|it| !it.is_waiting());
         self.holding.ask(self.told.holding(), master, now);
     }
 

@@ -191,6 +191,17 @@ fn a_watch_says_that_its_bus_is_held() {
     assert!(matches!(held, LoopError::Call(SharedBusError::Held)), "{held}");
 }
 
+/// The thread of the bus has not taken it up before the stop.
+#[test]
+fn a_look_from_before_a_stop_watches_nobody_after_it() {
+    let watch = io::Watch::new(MotorSet::EMPTY, Instant::ZERO);
+    let mut watched = Watched::new(1, &watch, StopKind::Hold);
+    watched.is_looked_at::<()>().unwrap();
+    watched.end();
+    assert!(!watched.look(&mut Master::<1>::new(Config::CAN), Instant::from_millis(1)));
+    assert_eq!(watched.late_after(), None);
+}
+
 /// Before it knows what was found, and before it has left because of that.
 #[test]
 fn a_loop_that_hangs_after_trouble_is_late_too() {
@@ -288,6 +299,8 @@ fn a_panic_that_drops_a_watch_stops_all() {
     let mut watch = bus.watch(MotorSet::EMPTY, StopKind::Hold).longest_silence(NEVER_LATE);
     let supervisor = thread::spawn(move || {
         watch.look().unwrap();
+        // The thread of the bus sleeps.
+        thread::sleep(time::Duration::from_millis(50));
         panic!("of the test");
     });
     assert!(supervisor.join().is_err());
