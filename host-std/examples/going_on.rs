@@ -9,11 +9,11 @@ use std::ops::ControlFlow;
 
 use myactuator_host_std::protocol::MotorId;
 use myactuator_host_std::protocol::command::{
-    AbsolutePosition, ErrorFlags, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, Status1,
+    AbsolutePosition, Command, ErrorFlags, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, Status1,
 };
 use myactuator_host_std::protocol::io::bring_up::{self, BringUpError};
-use myactuator_host_std::protocol::io::{CallError, Guard, Runner};
-use myactuator_host_std::protocol::master::{MotorSet, StopKind};
+use myactuator_host_std::protocol::io::{CallError, Guard, KeepAlive, Runner};
+use myactuator_host_std::protocol::master::{Event, MotorSet, StopKind};
 use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, MaxSpeed, Milliseconds};
 use myactuator_host_std::sim::Fleet;
@@ -32,18 +32,28 @@ fn statuses<R: Runner<8>>(
 /// Waits under the stop until somebody says that the arm may go on. Meanwhile it speaks to all motors, so that their
 /// protection (0xB3) lets none go, and locks the brake of one that reports an error: it confirms the stop, but holds
 /// nothing.
-fn wait_for_person<R: Runner<8>>(bus: &mut R, arm: Arm, mut may_go_on: impl FnMut() -> bool)
+fn wait_for_person<R: Runner<8>>(bus: &mut R, mut may_go_on: impl FnMut() -> bool)
 where
     R::Error: Display,
 {
-    let mut locked = MotorSet::EMPTY;
-    while !may_go_on() {
-        for (motor, status) in statuses(bus, arm) {
-            // One that does not answer may have no supply.
-            let Ok(status) = status else { continue };
-            if status.errors.is_empty() || locked.contains(motor) {
-                continue;
+    let mut keep_alive = KeepAlive::new();
+    let (mut in_error, mut locked) = (MotorSet::EMPTY, MotorSet::EMPTY);
+    while !may_go_on() || keep_alive.is_waiting() {
+        let now = bus.now();
+        keep_alive.ask(MotorSet::ALL, bus.master(), now);
+        // After an error of the bus, too, the motors have to be spoken to.
+        let _ = bus.run_until(now + Duration::from_millis(5), |event| {
+            keep_alive.takes(&event, now);
+            if let Event::Reply { ticket, data, .. } = event
+                && ReadStatus1::decode_reply(&data).is_ok_and(|status| !status.errors.is_empty())
+            {
+                in_error.insert(ticket.motor());
             }
+        });
+        if keep_alive.is_waiting() {
+            continue;
+        }
+        for motor in in_error.without(locked).iter() {
             match bring_up::lock_brake(bus, motor) {
                 // It is tried again.
                 Err(BringUpError::Call(_)) => {}
@@ -54,19 +64,18 @@ where
                 }
             }
         }
-        // After an error of the bus, too, the motors have to be spoken to.
-        let later = bus.now() + Duration::from_millis(20);
-        let _ = bus.run_until(later, |_| ());
     }
 }
 
 /// Makes the arm ready to move again, and returns the angles of its shafts, where the next movement has to begin. All
 /// loops that move it have left.
 ///
-/// If this fails before the stop is lifted, the stop stays in force.
+/// If this fails before the stop is lifted, the stop stays in force. So does one that was called for since there were
+/// `stops`.
 fn go_on<R: Runner<8>>(
     bus: &mut R,
     arm: Arm,
+    stops: u32,
     is_possible: impl Fn(MotorId, Angle) -> bool,
 ) -> Result<[Angle; 3], Box<dyn Error>>
 where
@@ -87,7 +96,9 @@ where
             bus.master().resume(motor);
         }
     }
-    bus.master().lift_stop();
+    if !bus.master().lift_stop_if(stops) {
+        return Err("the arm was stopped again".into());
+    }
     for (motor, status) in statuses(bus, arm) {
         let errors = status?.errors;
         if !errors.is_empty() {
@@ -157,8 +168,9 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // A person who needs three seconds.
     let released_at = bus.now() + Duration::from_millis(3_000);
-    wait_for_person(&mut bus, arm, || fleet.world.now() >= released_at);
-    let angles = go_on(&mut bus, arm, |_, angle| angle.degrees().abs() < 180.0)?;
+    wait_for_person(&mut bus, || fleet.world.now() >= released_at);
+    let stops = bus.master().stop_count();
+    let angles = go_on(&mut bus, arm, stops, |_, angle| angle.degrees().abs() < 180.0)?;
     for (motor, angle) in arm.into_iter().zip(angles) {
         println!("motor {motor} goes on at {angle}");
     }

@@ -148,10 +148,15 @@ impl Kind {
 
     /// Whether a drive that answers a command with the command's own bytes only hands it back, as a drive that has lost
     /// its master does with a command that it ignores. That is so for commands that move: their feedback never equals
-    /// the command, unless all of it is 0. For a raw command only its caller knows the answer.
+    /// the command, unless all of it is 0. And for a read of the run time: no drive answers in its first millisecond.
+    /// For a raw command only its caller knows the answer.
     pub(crate) fn is_handed_back(self, data: &Data) -> bool {
         let [_, _, values @ ..] = data;
-        *values != [0; 6] && matches!(self, Self::Known(_)) && self.moves()
+        match self {
+            Self::Known(Opcode::ReadRunTime) => *values == [0; 6],
+            Self::Known(_) => self.moves() && *values != [0; 6],
+            _ => false,
+        }
     }
 
     /// The channel on which a command of this kind reaches `target`.

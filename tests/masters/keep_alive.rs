@@ -10,8 +10,8 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadStatus1, Stop};
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
-use myactuator_protocol_core::io::{CallError, Guards, Runner};
-use myactuator_protocol_core::master::{Config, MotorSet, StopKind};
+use myactuator_protocol_core::io::{CallError, Guards, KeepAlive, Runner};
+use myactuator_protocol_core::master::{Config, Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{happened, lost_their_master, master, state};
@@ -33,6 +33,7 @@ on_both_buses! {
     motors_found_by_a_scan_hold_on
     others_hold_while_one_does_not_confirm_a_stop
     others_hold_until_a_stop_of_all_gives_a_dead_one_up
+    motors_hold_after_an_outage
 }
 
 /// A restart takes ten times as long, and twice as long without an answer.
@@ -220,6 +221,77 @@ fn others_hold_until_a_stop_of_all_gives_a_dead_one_up<W: Wire>() {
     // On RS485 another motor is asked between any two of its stops.
     assert!((time_out.times(14)..=time_out.times(25)).contains(&taken), "{taken}");
     check_others_hold(&bus);
+}
+
+/// They have no brakes. In the outage their protection cuts their outputs, and their first answers after it do not say
+/// that. Before their stop, or while it is in force.
+fn motors_hold_after_an_outage<W: Wire>() {
+    for (lost_master_heartbeat, is_stopped) in
+        [(false, false), (false, true), (true, false), (true, true)]
+    {
+        let quirks = Quirks { lost_master_heartbeat, ..Quirks::default() };
+        let bus = W::drives(&Fleet::new(4).quirks(quirks)).unwrap();
+        let mut runner = master::<W>(&bus);
+        let all: MotorSet = (1..=4).map(id).collect();
+        for motor in all.iter() {
+            let limit = Milliseconds::from_raw(300);
+            assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+        }
+        assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+        for drive in &bus.drives {
+            let pulls = Load { torque_nm: 3.0, ..Load::NONE };
+            drive.with(|drive| drive.plant_mut().set_load(pulls).unwrap());
+        }
+        let mut keep_alive = KeepAlive::new();
+        let mut held_again = MotorSet::EMPTY;
+        for now in 0..1_500 {
+            match now {
+                100 => bus.drives.iter().for_each(|drive| bus.world.cut(drive.station())),
+                500 => bus.drives.iter().for_each(|drive| bus.world.mend(drive.station())),
+                _ => {}
+            }
+            let now = runner.now();
+            keep_alive.ask(if is_stopped { all } else { MotorSet::EMPTY }, runner.master(), now);
+            let _ = runner.run_until(now + millis(1), |event| {
+                keep_alive.takes(&event, now);
+                if let Event::StopConfirmed { motor } = event {
+                    held_again.insert(motor);
+                }
+            });
+        }
+        assert_eq!(lost_their_master(&bus.drives).len(), 4, "and so their hold");
+        if !is_stopped {
+            assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+            held_again = all;
+        }
+        assert_eq!(held_again, all);
+        for drive in &bus.drives {
+            let state = state(drive);
+            assert!(state.output_on && !state.communication_lost, "{}", drive.motor());
+        }
+    }
+}
+
+/// Both show what a motor that holds may have met: an error, or a restart.
+#[test]
+fn motors_that_hold_are_asked_for_errors_and_run_time_in_turn() {
+    let bus = Fleet::new(2).on_rs485(1_000_000).unwrap();
+    let mut runner = bus.master::<8>();
+    let (all, log) = (MotorSet::from([id(1), id(2)]), bus.world.log());
+    assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+    log.take();
+    let mut keep_alive = KeepAlive::new();
+    for _ in 0..900 {
+        let now = runner.now();
+        keep_alive.ask(all, runner.master(), now);
+        let takes = |event| assert!(keep_alive.takes(&event, now), "{event:?}");
+        runner.run_until(now + millis(1), takes).unwrap();
+    }
+    let records = log.take();
+    for motor in all.iter() {
+        let times = [0x9A, 0xB1].map(|byte| times_sent(&records, &bus, motor, Some(byte)).len());
+        assert!(times.iter().all(|times| (3..=5).contains(times)), "{motor}: {times:?}");
+    }
 }
 
 /// Two loops on one bus, so that both have its time. The first waits for a dead motor.

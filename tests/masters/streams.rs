@@ -371,19 +371,22 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
 
 #[test]
 fn a_safe_stop_under_50_percent_loss_reaches_all_or_reports_who_was_missed() {
-    let (mut on_can, mut on_rs485) = (0, 0);
-    for seed in 0..800 {
-        for kind in [StopKind::Hold, StopKind::Off] {
-            on_can += stop_under_loss::<CanBus>(kind, seed);
-            on_rs485 += stop_under_loss::<Rs485Line>(kind, seed);
-        }
-    }
-    // An attempt succeeds with a probability of 0.25, so all 15 fail with 0.75^15 = 1.3 %: 171 of the 12,800 stops on
-    // each bus, give or take three times 13. A motor that an earlier frame may still move needs two successful
-    // attempts. Fewer than two of 15 succeed with 1.3 % + 15 * 0.25 * 0.75^14 = 8.0 %: 1,027 of 12,800. On CAN at least
+    let not_reached = [StopKind::Off, StopKind::Hold].map(|kind| {
+        let on_can: usize = (0..800).map(|seed| stop_under_loss::<CanBus>(kind, seed)).sum();
+        let on_rs485: usize = (0..800).map(|seed| stop_under_loss::<Rs485Line>(kind, seed)).sum();
+        (on_can, on_rs485)
+    });
+    let [(off_on_can, off_on_rs485), (hold_on_can, hold_on_rs485)] = not_reached;
+    // An attempt succeeds with a probability of 0.25, so all 15 fail with 0.75^15 = 1.3 %: 86 of the 6,400 stops of a
+    // kind on a bus, give or take three times 9. A motor that an earlier frame may still move needs two successful
+    // attempts. Fewer than two of 15 succeed with 1.3 % + 15 * 0.25 * 0.75^14 = 8.0 %: 513 of 6,400. On CAN at least
     // three in four have such a frame, since the last command was answered with a probability of 0.25: more than
-    // 3/4 * 1,027 + 1/4 * 171 = 813, give or take three times 28. On a line at most one in eight has it: fewer than
-    // 7/8 * 171 + 1/8 * 1,027 = 278.
-    assert!((729..=1_027).contains(&on_can), "{on_can} of 12,800 not reached on CAN");
-    assert!((132..278).contains(&on_rs485), "{on_rs485} of 12,800 not reached on RS485");
+    // 3/4 * 513 + 1/4 * 86 = 406, give or take three times 20. On a line at most one in eight has it: fewer than
+    // 7/8 * 86 + 1/8 * 513 = 139.
+    assert!((346..=513).contains(&off_on_can), "{not_reached:?}");
+    assert!((58..139).contains(&off_on_rs485), "{not_reached:?}");
+    // A hold needs three answers if more than 150 ms went by without one. Fewer than three of 15 attempts succeed with
+    // 8.0 % + 105 * 0.25^2 * 0.75^13 = 23.6 %: 1,511 of 6,400, give or take three times 34.
+    assert!((off_on_can..=1_613).contains(&hold_on_can), "{not_reached:?}");
+    assert!((off_on_rs485..=1_613).contains(&hold_on_rs485), "{not_reached:?}");
 }

@@ -86,7 +86,9 @@ impl Default for KeepAlive {
 }
 
 impl KeepAlive {
-    /// For motors that hold, for as long as they do: asks each that was sent nothing for 100 ms.
+    /// For motors that hold, for as long as they do: asks each that was sent nothing for 100 ms. One that was silent for
+    /// longer may have let go. If a stop in force is to hold it, it is told again when it answers, and then there is
+    /// another [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed).
     pub const fn new() -> Self {
         let errors_next = MotorSet::EMPTY;
         Self::while_waiting_for(WaitsFor::Anything { errors_next }, Instant::ZERO)
@@ -107,6 +109,9 @@ impl KeepAlive {
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;
+        }
+        if let WaitsFor::Anything { .. } = self.waits_for {
+            master.hold_again(motors);
         }
         let is_line = master.config().is_rs485();
         let rest = match self.waits_for {

@@ -78,7 +78,7 @@
 //! ## A drive has lost its master, and its message was not heard
 //! Such a drive sends the first command back and ignores it. If its message (0xF1) was not heard, the returned command
 //! may be taken for an acknowledgement, or for values that are all 0. A read is asked again if the reply that equals it
-//! is the first of its motor; not where an echo is configured.
+//! is the first of its motor, or the first after a pause of more than 150 ms; not where an echo is configured.
 //!
 //! ## An RS485 echo passes for a reply
 //! An echo can confirm a stop, pass for values that are all 0, or make it seem that the drive has ignored a move:
@@ -233,6 +233,8 @@ pub struct Master<const N: usize> {
     offer: Option<Offer>,
     /// The stop of all motors that is in force: nothing moves until it is lifted.
     stops_all: Option<StopKind>,
+    /// How many stops were called for.
+    stop_count: u32,
     /// Motors that were stopped individually.
     stopped: MotorSet,
     /// Motors that a stop in force has switched off: no other stop switches them on.
@@ -294,6 +296,7 @@ impl<const N: usize> Master<N> {
             round_trips,
             offer: None,
             stops_all: None,
+            stop_count: 0,
             stopped: MotorSet::EMPTY,
             switched_off: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,

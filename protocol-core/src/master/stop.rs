@@ -20,8 +20,13 @@ use crate::time::{Duration, Instant};
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum StopKind {
     /// 0x81: stop and hold still (2.18), with all the torque that the drive has. The motor confirms that it was told,
-    /// and needs time to come to rest. A motor that reports an error or has lost its master (0xB3), now or later,
-    /// confirms and holds nothing. Where a load could fall, read its errors (0x9A) and lock a brake.
+    /// and needs time to come to rest. Where a load could fall, read its errors (0x9A) and lock a brake: a motor that
+    /// reports an error confirms and holds nothing.
+    ///
+    /// One that has lost its master (0xB3) answers and does nothing, too, until it was spoken to steadily again. So
+    /// after a pause of more than 150 ms, on RS485 more with many motors, or two lost answers in a row, it has to answer
+    /// three commands before its confirmation counts. If it loses its master later, a
+    /// [`KeepAlive`](crate::io::KeepAlive) tells it again to hold.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake that was opened
     /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock
@@ -114,6 +119,7 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are stopped all the same, and
     /// one stop goes to all.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
+        self.stop_count = self.stop_count.wrapping_add(1);
         self.let_line_answer();
         let was_stopped = self.stops_all.is_some();
         let is_called_again = self.stop_to_all_was == Some(kind) && !self.was_any_moved();
@@ -177,6 +183,7 @@ impl<const N: usize> Master<N> {
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
+        self.stop_count = self.stop_count.wrapping_add(1);
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
         self.place_for(motor)?;
@@ -215,6 +222,20 @@ impl<const N: usize> Master<N> {
             motor.join(pace);
             motor.stop(stop, config, now);
         });
+    }
+
+    /// Tells those of these motors to hold again that have confirmed it, under a stop in force, and may have let go
+    /// since. Whether they confirm it again is reported as of any stop.
+    pub(crate) fn hold_again(&mut self, motors: MotorSet) {
+        let may_be_loose = |motor: &Motor| motor.may_have_let_go() && motor.request.is_none();
+        let is_it = |&it: &MotorId| {
+            motors.contains(it) && self.is_stopped(it) && self.motor(it).is_some_and(may_be_loose)
+        };
+        let loose: MotorSet = self.motors().iter().filter(is_it).collect();
+        for motor in loose.iter() {
+            self.let_line_answer();
+            self.put_stop(motor, StopKind::Hold, Purpose::Stop);
+        }
     }
 
     /// Sends a stop in force once more, when it is time, to each motor that has not confirmed it: otherwise the motor
@@ -336,7 +357,40 @@ impl<const N: usize> Master<N> {
         self.stops_all.is_some() || !self.stopped.is_empty()
     }
 
-    /// Lifts every stop, no matter which caller called for it: what [`stop_all`](Self::stop_all) and
+    /// How many stops were called for so far, of one motor or of all, for [`lift_stop_if`](Self::lift_stop_if).
+    pub const fn stop_count(&self) -> u32 {
+        self.stop_count
+    }
+
+    /// As [`lift_stop`](Self::lift_stop), unless a stop was called for since [`stop_count`](Self::stop_count) was this,
+    /// by a button for example that somebody has pressed meanwhile. Returns whether it has lifted all stops.
+    ///
+    /// ```
+    /// # use myactuator_protocol_core::io::{CallError, Runner};
+    /// # use myactuator_protocol_core::command::ReadStatus1;
+    /// # use myactuator_protocol_core::MotorId;
+    /// /// Somebody says that the arm may go on. Returns whether it may, when all is checked.
+    /// fn go_on<R: Runner<8>>(bus: &mut R, arm: [MotorId; 3]) -> Result<bool, CallError<R::Error>> {
+    ///     let stops = bus.master().stop_count();
+    ///     // Meanwhile the button may be pressed again.
+    ///     for status in bus.ask_together(arm.map(|motor| (motor, ReadStatus1))) {
+    ///         if !status?.errors.is_empty() {
+    ///             return Ok(false);
+    ///         }
+    ///     }
+    ///     Ok(bus.master().lift_stop_if(stops))
+    /// }
+    /// ```
+    #[must_use = "if it is false, the motors stay stopped"]
+    pub fn lift_stop_if(&mut self, stop_count: u32) -> bool {
+        let is_newest = self.stop_count == stop_count;
+        if is_newest {
+            self.lift_stop();
+        }
+        is_newest
+    }
+
+    /// Lifts every stop, no matter which caller called for it, and when: what [`stop_all`](Self::stop_all) and
     /// [`stop`](Self::stop) refused is accepted again.
     ///
     /// A motor that has confirmed its stop is not asked anything meanwhile. If its power may have been off since, read

@@ -81,7 +81,7 @@ fn stop_is_confirmed_at_once_after_an_adapter_stopped_echoing() {
     port.state().echoes = false;
     for _ in 0..5 {
         arm.ask(id(1), ReadStatus1).unwrap();
-        let end = clock.now() + Duration::from_millis(200);
+        let end = clock.now() + Duration::from_millis(140);
         arm.run_until(end, |_| {}).unwrap();
     }
     arm.master().lift_stop();

@@ -112,7 +112,7 @@ pub(super) fn answer(command: &Packet) -> Option<Packet> {
         0x30 => [0x30, d[1], 0, 0, 0, 0, 0x80, 0x3F], // 1.0
         0x76 => return None,                       // reset
         0x80 | 0x81 => d,                          // echoes
-        0xB1 => [0xB1, 0, 0, 0, 0, 0, 0, 0],       // it has just started
+        0xB1 => [0xB1, 0, 0, 0, 1, 0, 0, 0],       // it has just started
         0x9A => [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], // 48.5 V, no errors
         0x9C if motor.get() < 3 => [0x9C, 0x32, 0x64, 0, 0, 0, 0x2D, 0x00], // it stands
         byte => [byte, 0x32, 0x64, 0, 0xF4, 0x01, 0x2D, 0x00], // 50 °C, 1 A, 500 dps, 45 degrees

@@ -8,7 +8,7 @@ use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Position};
 use crate::master::request::{Asked, Proof, Purpose, Request};
-use crate::master::stop::STOP_ATTEMPTS;
+use crate::master::stop::{STOP_ATTEMPTS, StopKind};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Failure, MotorSet, TicketId};
 use crate::opcode::{Opcode, Repeat};
@@ -45,6 +45,8 @@ pub(crate) struct Heard<'a> {
     pub(crate) lost_master: &'a mut MotorSet,
     /// Nothing was heard of the motor before.
     pub(crate) is_first: bool,
+    /// After a longer pause its drive may have let go.
+    pub(crate) longest_pause: Duration,
 }
 
 impl Heard<'_> {
@@ -190,7 +192,7 @@ impl Motor {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
-        self.answered(Some(round_trip));
+        self.answered(Some(round_trip), heard.longest_pause, now);
         // An echo says nothing about the position, even if it is not known why it came.
         let position = Position::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, position, Some(round_trip), heard);
@@ -242,13 +244,15 @@ impl Motor {
             }
             return Meaning::Nothing;
         }
-        // The drive's last master may have gone before this one was there to hear of it. Then it has ignored this, too.
+        // The drive may have lost its master, in a silence or before this one was there to hear of it. Then it has
+        // ignored this, too.
         // Where commands are echoed, an answer that comes behind a further attempt passes for its echo: then equal
         // answers might use up all attempts.
         let may_be_behind = config.echoes() && asked.unanswered > 0;
-        let may_be_ignored = is_echo && heard.is_first && !may_be_behind;
+        let is_anew = heard.is_first || self.was_silent_for(heard.longest_pause, now);
+        let may_be_ignored = is_echo && is_anew && !may_be_behind;
         if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
-            self.answered(None);
+            self.answered(None, heard.longest_pause, now);
             asked.attempts_left = asked.attempts_left.saturating_add(1);
             self.request = Request::Waiting(asked);
             return Meaning::Nothing;
@@ -256,10 +260,10 @@ impl Motor {
         // With more than one attempt under way it is not known which one this answers.
         let round_trip = (is_in_flight && asked.unanswered == 0).then_some(now - self.sent);
         if is_in_flight {
-            self.answered(round_trip);
+            self.answered(round_trip, heard.longest_pause, now);
         } else {
             // The command counted as lost, or was to all.
-            self.note_there();
+            self.note_there(heard.longest_pause, now);
         }
         let kind = asked.kind();
         if kind.ends_motion() {
@@ -274,6 +278,10 @@ impl Motor {
                 self.on_its_way.note_bus_alive(now, config);
                 heard.to_all.note_answer_of(motor, now, config);
                 self.waits_to_go_once_more(asked, Proof::Waits, config);
+                return Meaning::Nothing;
+            }
+            if StopKind::by(kind) == Some(StopKind::Hold) && !self.is_steady() {
+                self.request = Request::Waiting(asked);
                 return Meaning::Nothing;
             }
             self.note_motion_ended(kind);

@@ -138,7 +138,7 @@ impl Motor {
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
         // It is no longer held.
-        if let LastStop::Confirmed(_) = self.last_stop {
+        if let LastStop::Confirmed(_) | LastStop::MayHaveLetGo = self.last_stop {
             self.last_stop = LastStop::None;
         }
         self.news.insert(News::RESTARTED);

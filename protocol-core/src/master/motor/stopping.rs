@@ -49,6 +49,8 @@ pub(crate) enum LastStop {
     None,
     /// It has confirmed this one.
     Confirmed(StopKind),
+    /// It has confirmed that it holds, and has [let go](crate::master::motor::steady) since, perhaps.
+    MayHaveLetGo,
     /// It has not confirmed it.
     Unconfirmed {
         /// How it was stopped, or told to stop since.
@@ -63,7 +65,7 @@ pub(crate) enum LastStop {
 impl LastStop {
     fn is_like(self, stop: &Asked) -> bool {
         match self {
-            Self::None => false,
+            Self::None | Self::MayHaveLetGo => false,
             Self::Confirmed(kind) | Self::Unconfirmed { kind, .. } => {
                 kind.question() == stop.question
             }
@@ -152,6 +154,7 @@ impl Motor {
     pub(super) fn note_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         match &mut self.last_stop {
+            LastStop::MayHaveLetGo => self.last_stop = LastStop::None,
             LastStop::Confirmed(kind) if *kind != told => self.last_stop = LastStop::None,
             LastStop::Unconfirmed { kind, sendings, .. } if *kind != told => {
                 (*kind, *sendings) = (told, 0);
@@ -185,7 +188,7 @@ impl Motor {
         match self.last_stop {
             _ if self.request.under_way().is_some_and(Asked::ends_motion) => None,
             LastStop::Unconfirmed { kind, since, .. } => Some((kind, since)),
-            LastStop::None | LastStop::Confirmed(_) => None,
+            LastStop::None | LastStop::Confirmed(_) | LastStop::MayHaveLetGo => None,
         }
     }
 

@@ -4,6 +4,9 @@ use super::*;
 use crate::command::CommunicationLossProtection;
 use crate::units::Milliseconds;
 
+/// A minute (2.29).
+const RUN_TIME_REPLY: Data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0];
+
 #[test]
 fn echo_of_a_drive_that_lost_its_master_is_no_answer() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -16,16 +19,14 @@ fn echo_of_a_drive_that_lost_its_master_is_no_answer() {
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
     assert!(read.outcome(&event).unwrap().is_ok());
 
-    // The stop that is echoed so is sent again as well.
+    // The stop that is echoed so is sent again as well. The next two answers make communication steady.
     reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(4));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
-    assert_eq!(sent(&mut master, ms(5)).len(), 1);
-    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(6)), None);
-    assert_eq!(sent(&mut master, ms(6)).len(), 1);
-    assert_eq!(
-        reply(&mut master, 1, Stop.encode(), ms(7)),
-        Some(Event::StopConfirmed { motor: id(1) })
-    );
+    for now in 5..9 {
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        let expected = if now == 8 { confirmed(1) } else { None };
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(now + 1)), expected);
+    }
 }
 
 /// Its message (0xF1) comes once a second: a master that has just begun may not have heard it.
@@ -322,10 +323,10 @@ fn answer_equal_to_its_command_does_not_show_what_the_drive_ignored() {
     reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
     // 0 degrees. It waited in the drive.
     assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(2)), None);
-    master.stop(id(1), StopKind::Hold).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
     for now in [3, 5] {
-        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Stop.encode())]);
-        let event = reply(&mut master, 1, Stop.encode(), ms(now + 1));
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+        let event = reply(&mut master, 1, Shutdown.encode(), ms(now + 1));
         assert_eq!(event, if now == 3 { None } else { confirmed(1) });
     }
 }
@@ -404,4 +405,43 @@ fn the_echo_of_an_ignored_move_to_all_is_no_feedback_of_a_set_point() {
     assert_eq!(sent(&mut master, ms(1)), [packet_to(1, torque(2.0).encode())]);
     let event = reply(&mut master, 1, torque(1.0).encode(), ms(2));
     assert_eq!(event, Some(Event::SetPointUnanswered { motor: id(1) }));
+}
+
+/// Its message was not heard. A drive takes longer than a millisecond to start, so that no run time is 0.
+#[test]
+fn a_run_time_of_zero_is_a_read_that_was_ignored() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadRunTime, ms(0));
+    let event = reply(&mut master, 1, RUN_TIME_REPLY, ms(1)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    let read = ask(&mut master, 1, ReadRunTime, ms(2));
+    assert_eq!(reply(&mut master, 1, ReadRunTime.encode(), ms(3)), None);
+    assert_eq!(sent(&mut master, ms(3)).len(), 1, "it is asked again");
+    let event = reply(&mut master, 1, RUN_TIME_REPLY, ms(4)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    assert!(!master.has_restarted(id(1)));
+    let read = master.request_with(id(1), ReadRunTime, once(5)).unwrap();
+    sent(&mut master, ms(5));
+    reply(&mut master, 1, ReadRunTime.encode(), ms(6));
+    let events = events(&mut master, ms(6));
+    assert_eq!(events, [Event::Failed { ticket: read.id(), failure: Failure::NotExecuted }]);
+    assert!(!master.has_restarted(id(1)));
+}
+
+/// Its message was not heard, nor may the angle be 0.
+#[test]
+fn the_first_answer_after_a_pause_is_asked_for_again_if_it_equals_the_read() {
+    for (pause, is_asked_again) in [(150, false), (151, true)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(pause));
+        let first = reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(pause + 1));
+        assert_eq!(first.is_none(), is_asked_again);
+        if is_asked_again {
+            assert_eq!(sent(&mut master, ms(pause + 2)).len(), 1);
+            let again = reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(pause + 3));
+            assert!(read.outcome(&again.unwrap()).unwrap().is_ok(), "0 degrees all the same");
+        }
+    }
 }

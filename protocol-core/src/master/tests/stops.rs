@@ -692,3 +692,23 @@ fn stopped_motor_goes_after_others_until_it_is_sent_a_move() {
     };
     assert!(is_first(stop, streams));
 }
+
+/// Somebody presses a button just before.
+#[test]
+fn a_stop_is_not_lifted_by_whoever_knows_only_of_those_before() {
+    let stops: [fn(&mut Master<2>); 2] = [
+        |master| master.stop(id(1), StopKind::Hold).unwrap(),
+        |master| master.stop_all(StopKind::Hold, id(1).into()).unwrap(),
+    ];
+    for stop in stops {
+        let mut master = Master::<2>::new(Config::CAN);
+        stop(&mut master);
+        let known = master.stop_count();
+        stop(&mut master);
+        assert!(!master.lift_stop_if(known));
+        assert!(master.is_stopped(id(1)));
+        let known = master.stop_count();
+        assert!(master.lift_stop_if(known));
+        assert!(!master.is_stopped(id(1)));
+    }
+}

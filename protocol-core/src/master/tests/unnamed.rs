@@ -336,8 +336,8 @@ fn hold_is_confirmed_once_no_earlier_shutdown_can_arrive() {
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(52))), [to(1)]);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(53)), None);
-    assert_eq!(channels(&sent(&mut master, ms(300))), [to(1)]);
-    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(301)), confirmed(1));
+    assert_eq!(channels(&sent(&mut master, ms(180))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(181)), confirmed(1));
 }
 
 #[test]
