@@ -8,7 +8,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::keep_alive::KeptAlive;
-use crate::io::presence::answers;
+use crate::io::presence::{answers, forget_silent_ones};
 use crate::master::{MotorSet, StopKind};
 use crate::time::{Duration, Instant};
 
@@ -139,11 +139,11 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
 
     async fn is_there(&mut self, motor: MotorId) -> Result<bool, CallError<R::Error>> {
         let is_known = self.master().motors().contains(motor);
-        let is_there = answers(self, motor).await?;
-        if !is_there && !is_known {
+        let is_there = answers(self, motor).await;
+        if !is_known && !matches!(is_there, Ok(true)) {
             // Otherwise every stop of all would wait for an id without a motor.
-            self.master().forget(motor);
+            forget_silent_ones(self, motor.into()).await;
         }
-        Ok(is_there)
+        is_there
     }
 }

@@ -9,7 +9,7 @@ use crate::io::calls::{Calls, SPOKEN_TO_EVERY};
 use crate::io::keep_alive::KeptAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::outcome::BringUpError;
-use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
+use crate::io::runner::{LONGEST_IDLE, LONGEST_STOP, LONGEST_TURN};
 use crate::master::{Event, Failure, MotorSet};
 use crate::time::Duration;
 
@@ -52,7 +52,7 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<(), CallError<R::Error>> {
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
-    let (mut waiting, mut asked) = (candidates, MotorSet::EMPTY);
+    let (mut waiting, mut asked, mut left) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
     // Why no more are asked. The answers of those that were asked are still waited for: nothing else takes back the
     // places of ids without a motor.
     let mut given_up = None;
@@ -93,8 +93,13 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
                 None
             }
         };
-        if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {
-            given_up.get_or_insert(CallError::Failed { motor: ticket.motor(), failure });
+        match event {
+            Some(Event::Failed { ticket, failure })
+                if failure == Failure::BusDown || is_stop(failure) =>
+            {
+                given_up.get_or_insert(CallError::Failed { motor: ticket.motor(), failure });
+            }
+            _ => {}
         }
         if given_up.is_some() {
             waiting = MotorSet::EMPTY;
@@ -117,20 +122,48 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
             asked.remove(motor);
-            if !known.contains(motor) {
-                runner.master().forget(motor);
+            if !known.contains(motor) && !runner.master().forget(motor) {
+                left.insert(motor);
             }
             if there || given_up.is_none() {
                 on_answer(motor, found.contains(motor));
             }
         }
     }
+    forget_silent_ones(runner, left).await;
     given_up.map_or(Ok(()), Err)
+}
+
+/// Takes the places back of those of these motors that were never heard. A stop that was called for meanwhile goes to
+/// them, too, and is waited for: one of them may be there all the same.
+pub(super) async fn forget_silent_ones<R: AsyncRunner<N> + ?Sized, const N: usize>(
+    runner: &mut R,
+    mut motors: MotorSet,
+) {
+    let end = runner.now() + LONGEST_STOP;
+    loop {
+        for motor in motors.iter() {
+            let master = runner.master();
+            if master.health(motor).last_seen.is_some() || master.forget(motor) {
+                motors.remove(motor);
+            }
+        }
+        let now = runner.now();
+        if motors.is_empty() || now >= end {
+            return;
+        }
+        let _ = runner.run(Some(now + LONGEST_IDLE)).await;
+    }
 }
 
 /// Whether a motor that was asked in vain is there: it has said something.
 fn shows_motor(failure: Failure) -> bool {
     matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted)
+}
+
+/// Whether a stop took the place of the question, which says nothing about the motor.
+fn is_stop(failure: Failure) -> bool {
+    matches!(failure, Failure::Stopped | Failure::StopUnconfirmed)
 }
 
 /// As [`bring_up::is_there`](crate::io::bring_up::is_there).
@@ -148,7 +181,7 @@ pub(super) async fn answers<B: Calls<N>, const N: usize>(
 ) -> Result<bool, CallError<B::Error>> {
     match bus.ask_often(motor, ReadStatus1, Some(ATTEMPTS)).await {
         Ok(_) | Err(CallError::Refused { refusal: RequestError::Reported(_), .. }) => Ok(true),
-        Err(CallError::Failed { failure, .. }) => Ok(shows_motor(failure)),
+        Err(CallError::Failed { failure, .. }) if !is_stop(failure) => Ok(shows_motor(failure)),
         Err(error) => Err(error),
     }
 }
@@ -171,6 +204,9 @@ pub async fn wait_until_there<B: Calls<N>, const N: usize>(
             // Another question to it waits until it has had the time to restart.
             Err(CallError::Refused { refusal: RequestError::Busy, .. })
                 if answered_at < deadline => {}
+            // A stop went to it instead.
+            Err(CallError::Failed { failure, .. })
+                if is_stop(failure) && answered_at < deadline => {}
             Err(error) => return Err(error.into()),
         }
         // On a bus that takes nothing the outcome comes at once.

@@ -236,6 +236,87 @@ fn scan_ends_after_a_short_failure_of_the_line() {
     }
 }
 
+/// A loop whose button is pressed at this time.
+struct Pressed<R>(R, Option<Instant>);
+
+impl<R: Runner<8>> Runner<8> for Pressed<R> {
+    type Error = R::Error;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+        let now = self.now();
+        if self.1.take_if(|at| *at <= now).is_some() {
+            self.0.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        }
+        self.0.poll()
+    }
+
+    fn idle(&mut self, until: Instant) {
+        let pressed_at = self.1.map_or(until, |at| at.min(until));
+        self.0.idle(pressed_at);
+    }
+}
+
+/// That says nothing about the motors. Ids without a motor are soon forgotten: else each stop would wait for them.
+#[test]
+fn a_search_that_a_stop_ends_returns_that_and_keeps_no_place_without_a_motor() {
+    let there: MotorSet = (1..=3).map(id).collect();
+    let is_stop = |error: CallError<Broken>| {
+        matches!(
+            error,
+            CallError::Failed { failure: Failure::Stopped | Failure::StopUnconfirmed, .. }
+        )
+    };
+    let mut ended = 0;
+    for pressed_after in (0..120_000).step_by(700) {
+        let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
+        let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
+        let mut arm = Pressed(arm, pressed_at);
+        match bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}) {
+            Ok(found) => assert_eq!(found, there, "{pressed_after}"),
+            Err(error) => {
+                assert!(is_stop(error), "{pressed_after}");
+                ended += 1;
+            }
+        }
+        assert!(arm.master().motors().without(there).is_empty(), "{pressed_after}");
+        assert!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY).is_empty());
+        assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
+    }
+    assert!(ended > 50, "{ended}");
+    for (motor, is_there) in [(1, true), (9, false)] {
+        for pressed_after in (0..50_000).step_by(100) {
+            let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
+            let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
+            let mut arm = Pressed(arm, pressed_at);
+            match bring_up::is_there(&mut arm, id(motor)) {
+                Ok(answer) => assert_eq!(answer, is_there, "{pressed_after}"),
+                Err(error) => assert!(is_stop(error), "{pressed_after}"),
+            }
+            assert!(arm.master().motors().without(there).is_empty(), "{pressed_after}");
+        }
+    }
+}
+
+/// It is called under a stop, and goes on under another.
+#[test]
+fn a_stop_does_not_end_the_wait_for_a_motor() {
+    for pressed_after in (0..3_000).step_by(50) {
+        let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
+        let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
+        let mut arm = Pressed(arm, pressed_at);
+        let limit = Duration::from_millis(500);
+        assert_eq!(bring_up::wait_until_there(&mut arm, id(1), limit), Ok(()), "{pressed_after}");
+    }
+}
+
 /// So a stop of all and a guard reach them, if they turn because somebody else moved them.
 #[test]
 fn motors_found_by_a_scan_keep_places_if_there_is_one_for_each() {
