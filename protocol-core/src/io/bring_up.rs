@@ -14,7 +14,9 @@
 //!
 //! # While a function here waits
 //! Some take seconds. To look at a button meanwhile, or to feed a watchdog, give them a loop of your own around that of
-//! the bus. A stop that it calls for is sent before anything else, and ends the function:
+//! the bus. A stop that it calls for is sent before anything else. It ends the function, unless that only waits
+//! ([`wait_until_there`], [`wait_until_stands`]). Before you lift a stop, look whether there was another:
+//! [`lift_stop_if`](crate::master::Master::lift_stop_if).
 //!
 //! ```
 //! use myactuator_protocol_core::io::Runner;
@@ -89,7 +91,8 @@ use crate::units::{EncoderPulses, Milliseconds};
 ///
 /// [`stop_all`](Runner::stop_all) and a [`Guard`](crate::io::Guard) reach the motors that were found, however this
 /// ends. If the master has too few places for all of them, none keeps a place that it did not have before; they then
-/// get the one stop that goes to all, and confirm nothing. Ids without a motor take no place.
+/// get the one stop that goes to all, and confirm nothing. Ids without a motor take no place. A stop ends the search,
+/// as soon as all that were asked have answered it or have not.
 ///
 /// # Errors
 /// [`CallError`], among them:
@@ -127,7 +130,7 @@ pub fn is_there<R: Runner<N>, const N: usize>(
     block_on(task::is_there(&mut Polled(runner), motor))
 }
 
-/// Waits until a motor answers, after power-on or a restart (0x76) for example.
+/// Waits until a motor answers, after power-on or a restart (0x76) for example. A stop does not end this.
 ///
 /// # Errors
 /// [`BringUpError::NotThere`] if it does not answer within `time`; [`BringUpError::Call`] for other errors.
@@ -157,7 +160,8 @@ pub fn wait_until_stands<R: Runner<N>, const N: usize>(
 /// Makes the current position the zero, checks that it is kept, and returns the new offset. Stores the zero (0x64),
 /// restarts the drive (0x76), and reads offset and angle back.
 ///
-/// - The motor is [switched off](self#functions-that-switch-a-motor-off) first. One that turns is refused.
+/// - The motor is [switched off](self#functions-that-switch-a-motor-off) first. One that turns is refused. Any other is
+///   off afterwards.
 /// - If several motors have this id, all of them do this: check first whether the id [is shared](is_shared).
 ///
 /// # Errors
@@ -206,7 +210,8 @@ pub fn change_id<R: Runner<N>, const N: usize>(
 /// - if nobody answers: ask [`is_there`] first;
 /// - of one motor that another master asks the same, or has told to report (0xB6): each report looks like a second
 ///   answer. Have that master end it, or [end the reports](crate::command::ActiveReply) here, which does no harm to two
-///   motors, and ask again.
+///   motors, and ask again;
+/// - on a bus that doubles frames now and then.
 ///
 /// Reports that this master has switched on are an error, because a motor may not answer what it reports. Reports of
 /// errors (function 3) do not count as second answers.

@@ -9,7 +9,8 @@
 //! | RS485, `embedded_io_async` | [`AsyncSerialMaster`] |
 //! | RS485 with a direction pin | either over [`HalfDuplex`] |
 //!
-//! The loops that poll are [`Runner`]s, the async ones are [`AsyncRunner`]s. What works on one bus works on the other:
+//! The loops that poll are [`Runner`]s, the async ones are [`AsyncRunner`]s, and [`Polled`] makes one of the latter of
+//! one of the former. What works on one bus works on the other:
 //! [`bring_up`] for example, or [`async_bring_up`] for tasks. The loops decide nothing; the
 //! [`Master`](crate::master::Master) does.
 //!
@@ -37,6 +38,19 @@
 //! again if frames are sent. It is better not to report that at all.
 //!
 //! [`Event::Overrun`]: crate::master::Event::Overrun
+//!
+//! # A motor that falls silent
+//! | who waits for it | what it gets |
+//! |---|---|
+//! | [`ask`](Runner::ask), [`bring_up`] | [`CallError::Failed`] with [`Failure::NoReply`](crate::master::Failure::NoReply) |
+//! | a control loop with a [`Watch`] | [`LoopError::Trouble`] with [`Trouble::Silent`] |
+//! | [`bring_up::move_to`] | [`NotArrived`](bring_up::NotArrived) with [`MoveFailure::Call`](bring_up::MoveFailure::Call) |
+//! | [`stop`](Runner::stop), [`stop_all`](Runner::stop_all) | the motor as one that has not confirmed |
+//! | whoever takes events | [`Event::Failed`], [`Event::SetPointUnanswered`], [`Event::StopUnconfirmed`] |
+//!
+//! [`Event::Failed`]: crate::master::Event::Failed
+//! [`Event::SetPointUnanswered`]: crate::master::Event::SetPointUnanswered
+//! [`Event::StopUnconfirmed`]: crate::master::Event::StopUnconfirmed
 //!
 //! README.md shows a control loop for eight motors, with a [`Guard`] and a [`Watch`]. The whole program is the example
 //! `control_loop` of `myactuator-host-std`.
@@ -84,6 +98,7 @@ pub use elapsed::Elapsed;
 pub use guard::{Guard, Guards, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
 pub use keep_alive::KeepAlive;
+pub use polled::Polled;
 pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
 pub use serial::SerialMaster;
 pub use watch::{LoopError, Trouble, Watch};

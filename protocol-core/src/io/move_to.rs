@@ -119,7 +119,8 @@ pub enum WhenStalled {
     /// move ends well. Its [`angle`](MoveProgress::angle) is where the motor has met something.
     ///
     /// How hard it meets that depends on its speed, which the torque does not limit: let it come slowly. To hold on,
-    /// send the same command again; another move would find that the motor comes no nearer.
+    /// send the same command again as a set-point. Another move finds that the motor comes no nearer, and so fails: it is
+    /// [stopped](MoveLimits::stop), and lets go if that is [`StopKind::Off`].
     ///
     /// The motor has met something only if it stands, and stands nearer to its target than where the move began.
     /// Otherwise the move has failed and the motor is stopped. One that turns is driven away

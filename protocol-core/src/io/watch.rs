@@ -101,6 +101,9 @@ pub enum LoopError<E> {
 /// be heard again just in time: then the loop goes on against the brake, unless [its brake is
 /// watched](Self::open_brakes).
 ///
+/// It does not see another master that moves the motors, too. Its answers are counted in
+/// [`Health::stray`](crate::master::Health::stray).
+///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///
 /// Make a new watch when the set of motors changes, for example because one of them is stopped, and when the loop goes on
@@ -284,7 +287,7 @@ impl Watch {
             _ => return,
         };
         if answer.is_some_and(|answer| self.question() == Some((motor, answer))) {
-            self.turn = (self.turn + 1) % (2 * self.motors.len());
+            self.turn = if self.turn + 1 < 2 * self.motors.len() { self.turn + 1 } else { 0 };
             self.due = self.next.max(self.looked);
         }
         if self.motors.contains(motor) {
