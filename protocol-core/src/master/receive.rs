@@ -7,7 +7,6 @@ use crate::master::arbitration::LastReply;
 use crate::master::late::Question;
 use crate::master::motor::replies::{Heard, Meaning};
 use crate::master::motor::reports::reported_bit;
-use crate::master::motor::steady::LONGEST_PAUSE;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::transmit::ForAll;
 use crate::master::{Event, Master, has_errors};
@@ -89,7 +88,7 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet) -> Option<Event> {
-        let (now, longest_pause) = (self.now, self.longest_pause());
+        let now = self.now;
         let mut heard = Heard {
             config: &self.config,
             from: id,
@@ -98,7 +97,6 @@ impl<const N: usize> Master<N> {
             to_all: &mut self.broadcast,
             lost_master: &mut self.lost_master,
             is_first: false,
-            longest_pause,
         };
         let meaning = self.places.of(id).and_then(|place| {
             self.places.change(&mut self.motors, place, |motor| motor.take(&mut heard))
@@ -129,15 +127,6 @@ impl<const N: usize> Master<N> {
             }
             Meaning::Late => Some(self.handle_late(id, packet)),
             Meaning::Unasked { is_doubled } => Some(self.handle_unasked(id, packet, is_doubled)),
-        }
-    }
-
-    /// After a longer pause between two of its answers a drive may have let go. On RS485 each motor may have to wait for
-    /// all others in any case.
-    fn longest_pause(&self) -> Duration {
-        match self.config.is_rs485() {
-            true => LONGEST_PAUSE.max(self.stop_timeout().times(self.places.taken.count())),
-            false => LONGEST_PAUSE,
         }
     }
 
@@ -181,11 +170,10 @@ impl<const N: usize> Master<N> {
         // Also for a broadcast that is over: the same reply, doubled, answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
         let asked = asked.or(self.broadcast.question());
-        let (now, longest_pause) = (self.now, self.longest_pause());
         self.change(motor, |motor, _| {
             motor.last_answered = asked;
             if is_answer {
-                motor.answered(None, longest_pause, now);
+                motor.answered(None);
             }
         });
         is_answer
@@ -232,7 +220,7 @@ impl<const N: usize> Master<N> {
         self.lost_master.insert(motor);
         self.change(motor, |motor, config| {
             motor.was_heard(config, now);
-            motor.is_unsteady();
+            motor.may_let_go();
             motor.last_sent.insert(LastSent::BEFORE_IT_LOST_MASTER);
         });
         Event::LostMaster { motor }

@@ -116,8 +116,8 @@ fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> 
 
 #[test]
 fn fits_its_budget() {
-    assert!(size_of::<Master<8>>() <= 2_520, "{}", size_of::<Master<8>>());
-    assert!(size_of::<Master<32>>() <= 8_856, "{}", size_of::<Master<32>>());
+    assert!(size_of::<Master<8>>() <= 2_456, "{}", size_of::<Master<8>>());
+    assert!(size_of::<Master<32>>() <= 8_600, "{}", size_of::<Master<32>>());
 }
 
 /// Switches reports of the angle every 10 ms on or off.

@@ -28,7 +28,7 @@ use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use restarts::{Position, RESTART_TAKES};
-use steady::InARow;
+use steady::Answered;
 use stopping::{LastStop, StopSent};
 
 bitflags! {
@@ -121,7 +121,7 @@ pub(super) struct Motor {
     /// As far as is known, its drive had started by this step (`restarts::steps`): it was heard then, or has said how
     /// long it had run, or it may have been about to restart.
     started_by: u32,
-    in_a_row: InARow,
+    answered: Answered,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
@@ -461,19 +461,14 @@ impl Motor {
         self.note_silence(config, now);
     }
 
-    pub(super) fn note_there(&mut self, longest_pause: Duration, now: Instant) {
+    pub(super) fn note_there(&mut self) {
         self.last_sent.remove(LastSent::GOES_ON);
         self.misses = 0;
-        self.count_in_a_row(longest_pause, now);
+        self.note_answer();
     }
 
-    pub(super) fn answered(
-        &mut self,
-        round_trip: Option<Duration>,
-        longest_pause: Duration,
-        now: Instant,
-    ) {
-        self.note_there(longest_pause, now);
+    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
+        self.note_there();
         self.health.count_answer(round_trip);
     }
 

@@ -45,8 +45,6 @@ pub(crate) struct Heard<'a> {
     pub(crate) lost_master: &'a mut MotorSet,
     /// Nothing was heard of the motor before.
     pub(crate) is_first: bool,
-    /// After a longer pause its drive may have let go.
-    pub(crate) longest_pause: Duration,
 }
 
 impl Heard<'_> {
@@ -192,7 +190,7 @@ impl Motor {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
-        self.answered(Some(round_trip), heard.longest_pause, now);
+        self.answered(Some(round_trip));
         // An echo says nothing about the position, even if it is not known why it came.
         let position = Position::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, position, Some(round_trip), heard);
@@ -249,10 +247,10 @@ impl Motor {
         // Where commands are echoed, an answer that comes behind a further attempt passes for its echo: then equal
         // answers might use up all attempts.
         let may_be_behind = config.echoes() && asked.unanswered > 0;
-        let is_anew = heard.is_first || self.was_silent_for(heard.longest_pause, now);
+        let is_anew = heard.is_first || self.is_anew();
         let may_be_ignored = is_echo && is_anew && !may_be_behind;
         if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
-            self.answered(None, heard.longest_pause, now);
+            self.answered(None);
             asked.attempts_left = asked.attempts_left.saturating_add(1);
             self.request = Request::Waiting(asked);
             return Meaning::Nothing;
@@ -260,10 +258,10 @@ impl Motor {
         // With more than one attempt under way it is not known which one this answers.
         let round_trip = (is_in_flight && asked.unanswered == 0).then_some(now - self.sent);
         if is_in_flight {
-            self.answered(round_trip, heard.longest_pause, now);
+            self.answered(round_trip);
         } else {
             // The command counted as lost, or was to all.
-            self.note_there(heard.longest_pause, now);
+            self.note_there();
         }
         let kind = asked.kind();
         if kind.ends_motion() {

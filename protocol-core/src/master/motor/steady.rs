@@ -16,57 +16,59 @@ pub(crate) const LONGEST_PAUSE: Duration = Duration::from_millis(150);
 /// How many commands in a row a motor has to answer until it obeys for sure. It obeys the last of them.
 const STEADY_AFTER: u8 = 3;
 
-/// The answers of a motor to commands, without a long pause in between.
+/// How many commands a motor has answered since the last long pause.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct InARow {
-    number: u8,
-    /// When the last came.
-    last: Instant,
-}
+pub(super) struct Answered(u8);
 
-impl Default for InARow {
-    /// A motor that has not answered this master before is believed: nothing is known of a pause.
+impl Default for Answered {
+    /// A motor that was not heard before is believed: nothing is known of a pause.
     fn default() -> Self {
-        Self { number: STEADY_AFTER, last: Instant::ZERO }
+        Self(STEADY_AFTER)
     }
 }
 
 impl Motor {
     /// Whether it obeys for sure.
     pub(super) fn is_steady(&self) -> bool {
-        self.in_a_row.number >= STEADY_AFTER
+        self.answered.0 >= STEADY_AFTER
     }
 
-    /// Its drive says that it has let go.
-    pub(crate) fn is_unsteady(&mut self) {
-        self.in_a_row.number = 0;
+    /// Whether it has answered nothing since a long pause.
+    pub(super) fn is_anew(&self) -> bool {
+        self.answered.0 == 0
+    }
+
+    /// It may have let go: the next commands may be answered and not obeyed.
+    #[inline(never)]
+    pub(crate) fn may_let_go(&mut self) {
+        if self.health.last_seen().is_some() {
+            self.answered = Answered(0);
+        }
+    }
+
+    /// A command is sent now. Before it there was a pause, or the motor was not heard.
+    #[inline]
+    pub(crate) fn note_pause(&mut self, longest: Duration, now: Instant) {
+        let was_silent = || self.health.last_seen().is_some_and(|seen| now - seen > longest);
+        if now - self.sent > longest || self.was_missed() && was_silent() {
+            self.may_let_go();
+        }
+    }
+
+    /// It has answered a command. A hold that it has confirmed before a long pause no longer counts.
+    #[inline]
+    pub(super) fn note_answer(&mut self) {
+        if self.is_steady() {
+            return;
+        }
+        self.answered.0 += 1;
+        if let LastStop::Confirmed(StopKind::Hold) = self.last_stop {
+            self.last_stop = LastStop::MayHaveLetGo;
+        }
     }
 
     /// Whether it has confirmed that it holds, and may have let go since.
     pub(crate) fn may_have_let_go(&self) -> bool {
         matches!(self.last_stop, LastStop::MayHaveLetGo)
-    }
-
-    /// Whether its last answer is longer ago.
-    #[inline]
-    pub(super) fn was_silent_for(&self, pause: Duration, now: Instant) -> bool {
-        let InARow { last, .. } = self.in_a_row;
-        last > Instant::ZERO && now - last > pause
-    }
-
-    /// It has answered a command. A hold that it has confirmed before a long pause no longer counts.
-    #[inline]
-    pub(super) fn count_in_a_row(&mut self, longest_pause: Duration, now: Instant) {
-        if self.was_silent_for(longest_pause, now) {
-            self.is_unsteady();
-        }
-        self.in_a_row.last = now;
-        if self.is_steady() {
-            return;
-        }
-        self.in_a_row.number += 1;
-        if let LastStop::Confirmed(StopKind::Hold) = self.last_stop {
-            self.last_stop = LastStop::MayHaveLetGo;
-        }
     }
 }
