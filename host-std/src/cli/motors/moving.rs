@@ -526,12 +526,14 @@ mod tests {
         (fleet, session)
     }
 
+    /// Before this program began, so that its master knows nothing of the silence.
     #[test]
     fn motor_that_lost_its_master_is_stopped_again_until_it_holds() {
         let motor = MotorId::MIN;
-        let (fleet, mut session) = protected_after(100);
-        let later = session.master.now() + Duration::from_millis(200);
-        session.wait_until(later).unwrap();
+        let (fleet, session) = protected_after(100);
+        drop(session);
+        fleet.world.run_for(Duration::from_millis(200));
+        let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, motor.into()).unwrap();
         let is_on = || fleet.drives[0].with(|drive| drive.state().output_on);
         assert!(!is_on(), "it has ignored that");
@@ -548,11 +550,10 @@ mod tests {
     fn motor_that_reports_a_locked_brake_is_stopped_again_until_it_holds() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
         let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
         let silence = Milliseconds::from_raw(100);
-        bring_up::protect(&mut session.master, MotorId::MIN, silence).unwrap();
-        let later = session.master.now() + Duration::from_millis(200);
-        session.wait_until(later).unwrap();
+        bring_up::protect(&mut Session::on(&fleet).master, MotorId::MIN, silence).unwrap();
+        fleet.world.run_for(Duration::from_millis(200));
+        let mut session = Session::on(&fleet);
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
         let holds =
             "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"

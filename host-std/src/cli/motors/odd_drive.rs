@@ -41,7 +41,7 @@ pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     // It takes the place of the usual drive.
     fleet.world.cut(fleet.drives[0].station());
-    let drive = Arc::new(Mutex::new(OddDrive::default()));
+    let drive = Arc::new(Mutex::new(OddDrive { run_time_ms: 1_000, ..OddDrive::default() }));
     fleet.world.attach_with(Arc::clone(&drive), ControllerConfig::MAILBOXES);
     (fleet, drive)
 }
