@@ -3,6 +3,7 @@
 use core::ops::ControlFlow;
 
 use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::bus::trace::{self, Record};
 use myactuator_host_std::sim::plant::Load;
 use myactuator_host_std::sim::{BusFleet, Fleet, LineFleet, MotorSetup};
@@ -11,7 +12,7 @@ use myactuator_protocol_core::command::{ReadStatus1, Stop};
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Guards, KeepAlive, Runner};
-use myactuator_protocol_core::master::{Config, Event, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Config, Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{happened, lost_their_master, master, state};
@@ -34,6 +35,10 @@ on_both_buses! {
     others_hold_while_one_does_not_confirm_a_stop
     others_hold_until_a_stop_of_all_gives_a_dead_one_up
     motors_hold_after_an_outage
+    motors_that_are_stopped_hold_after_an_outage_in_which_a_function_waits
+    motors_hold_after_the_host_was_held_up
+    others_hold_while_a_button_ends_a_question_to_an_absent_one
+    others_hold_while_there_is_no_place_for_one_more
 }
 
 /// A restart takes ten times as long, and twice as long without an answer.
@@ -226,9 +231,12 @@ fn others_hold_until_a_stop_of_all_gives_a_dead_one_up<W: Wire>() {
 /// They have no brakes. In the outage their protection cuts their outputs, and their first answers after it do not say
 /// that. Before their stop, or while it is in force.
 fn motors_hold_after_an_outage<W: Wire>() {
-    for (lost_master_heartbeat, is_stopped) in
-        [(false, false), (false, true), (true, false), (true, true)]
-    {
+    // Behind a second of silence they may have restarted.
+    let outages = [400, 900, 1_500];
+    let cases = outages.into_iter().flat_map(|outage| {
+        [(outage, false, false), (outage, false, true), (outage, true, false), (outage, true, true)]
+    });
+    for (outage, lost_master_heartbeat, is_stopped) in cases {
         let quirks = Quirks { lost_master_heartbeat, ..Quirks::default() };
         let bus = W::drives(&Fleet::new(4).quirks(quirks)).unwrap();
         let mut runner = master::<W>(&bus);
@@ -244,11 +252,11 @@ fn motors_hold_after_an_outage<W: Wire>() {
         }
         let mut keep_alive = KeepAlive::new();
         let mut held_again = MotorSet::EMPTY;
-        for now in 0..1_500 {
-            match now {
-                100 => bus.drives.iter().for_each(|drive| bus.world.cut(drive.station())),
-                500 => bus.drives.iter().for_each(|drive| bus.world.mend(drive.station())),
-                _ => {}
+        for now in 0..outage + 1_100 {
+            if now == 100 {
+                bus.drives.iter().for_each(|drive| bus.world.cut(drive.station()));
+            } else if now == 100 + outage {
+                bus.drives.iter().for_each(|drive| bus.world.mend(drive.station()));
             }
             let now = runner.now();
             keep_alive.ask(if is_stopped { all } else { MotorSet::EMPTY }, runner.master(), now);
@@ -270,6 +278,143 @@ fn motors_hold_after_an_outage<W: Wire>() {
             assert!(state.output_on && !state.communication_lost, "{}", drive.motor());
         }
     }
+}
+
+/// They are out while others are worked with. Nobody falls for long.
+fn motors_that_are_stopped_hold_after_an_outage_in_which_a_function_waits<W: Wire>() {
+    let bus = W::drives(&Fleet::new(4)).unwrap();
+    let mut runner = master::<W>(&bus);
+    let all: MotorSet = (1..=4).map(id).collect();
+    for motor in all.iter() {
+        let limit = Milliseconds::from_raw(300);
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+    bus.drives.iter().for_each(|drive| bus.world.cut(drive.station()));
+    let _ = bring_up::wait_until_there(&mut runner, id(20), millis(600));
+    bus.drives.iter().for_each(|drive| bus.world.mend(drive.station()));
+    let _ = bring_up::wait_until_there(&mut runner, id(20), millis(500));
+    assert_eq!(lost_their_master(&bus.drives).len(), 4);
+    for drive in &bus.drives {
+        assert!(state(drive).output_on, "{}", drive.motor());
+    }
+}
+
+/// Longer than their protection allows. A read or set-points are under way, and their answers come after that.
+fn motors_hold_after_the_host_was_held_up<W: Wire>() {
+    for streams in [false, true] {
+        let bus = W::drives(&Fleet::new(2)).unwrap();
+        let mut runner = master::<W>(&bus);
+        let all = MotorSet::from([id(1), id(2)]);
+        for motor in all.iter() {
+            let limit = Milliseconds::from_raw(300);
+            assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+        }
+        let turn_on = |runner: &mut W::Runner<8>| {
+            for motor in all.iter() {
+                let now = runner.now();
+                if streams {
+                    runner.master().set_point(motor, turn(5.0), now).unwrap();
+                } else {
+                    let _ = runner.master().request(motor, ReadStatus1).unwrap();
+                }
+            }
+        };
+        for _ in 0..20 {
+            turn_on(&mut runner);
+            let next = runner.now() + millis(10);
+            runner.run_until(next, |_| {}).unwrap();
+        }
+        turn_on(&mut runner);
+        let _ = runner.poll();
+        bus.world.run_for(millis(500));
+        assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+        for drive in &bus.drives {
+            assert!(state(drive).output_on, "{streams} {}", drive.motor());
+        }
+    }
+}
+
+/// A loop whose button is pressed at this time.
+struct Pressed<R>(R, Option<Instant>);
+
+impl<R: Runner<8>> Runner<8> for Pressed<R> {
+    type Error = R::Error;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+        let now = self.now();
+        if self.1.take_if(|at| *at <= now).is_some() {
+            self.0.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        }
+        self.0.poll()
+    }
+
+    fn idle(&mut self, until: Instant) {
+        let pressed_at = self.1.map_or(until, |at| at.min(until));
+        self.0.idle(pressed_at);
+    }
+}
+
+/// Its id gets the stop, too, fifteen times.
+fn others_hold_while_a_button_ends_a_question_to_an_absent_one<W: Wire>() {
+    for pressed_after in [1, 3, 6] {
+        let (bus, mut runner) = held::<W>();
+        runner.master().lift_stop();
+        let pressed_at = runner.now() + millis(pressed_after);
+        let mut runner = Pressed(runner, Some(pressed_at));
+        let _ = bring_up::is_there(&mut runner, id(20));
+        assert!(!runner.master().motors().contains(id(20)));
+        check_others_hold(&bus);
+    }
+}
+
+fn others_hold_while_there_is_no_place_for_one_more<W: Wire>() {
+    let (bus, mut runner) = held::<W>();
+    for motor in [id(30), id(31)] {
+        let _ = runner.master().request(motor, ReadStatus1).unwrap();
+    }
+    let begun = runner.now();
+    assert!(bring_up::is_there(&mut runner, id(20)).is_err());
+    assert!(runner.now() - begun < millis(200), "{}", runner.now() - begun);
+    check_others_hold(&bus);
+}
+
+/// Behind an adapter that delivers in bursts, twelve of them are each asked every 400 ms.
+#[test]
+fn motors_of_a_slow_line_are_not_told_again_and_again() {
+    let bus = Fleet::new(12).on_rs485(115_200).unwrap();
+    let config = Config::rs485(115_200, false).adapting_up_to(millis(40));
+    let (mut runner, station) = Rs485Line::runner::<16>(&bus.world, config);
+    let all: MotorSet = (1..=12).map(id).collect();
+    assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+    bus.world.hand_over_every(station, millis(16));
+    let (mut keep_alive, mut told) = (KeepAlive::new(), Vec::new());
+    for now in 0..2_000 {
+        // One is out for a moment.
+        match now {
+            600 => bus.world.cut(bus.drives[3].station()),
+            650 => bus.world.mend(bus.drives[3].station()),
+            _ => {}
+        }
+        let now = runner.now();
+        keep_alive.ask(all, runner.master(), now);
+        let notes = |event| {
+            keep_alive.takes(&event, now);
+            if let Event::StopConfirmed { motor } | Event::StopUnconfirmed { motor } = event {
+                told.push(motor);
+            }
+        };
+        runner.run_until(now + millis(5), notes).unwrap();
+    }
+    assert!(told.len() <= 1, "{told:?}");
 }
 
 /// Both show what a motor that holds may have met: an error, or a restart.

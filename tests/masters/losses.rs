@@ -126,8 +126,10 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
             assert_eq!(u64::from(health.lost), counted, "{what}");
         }
         let told_answered = told.replies + told.feedback + told.broadcast_replies;
-        let answered = u64::from(health.answered) + late;
-        assert_eq!(answered, told_answered, "{what}");
+        // An answer that equals its read, as all do here, is asked for again after a pause.
+        let asked_again = u64::from(health.answered) + late - told_answered;
+        let most_again = got_through * u64::from(case.percent) / 100;
+        assert!(asked_again <= most_again, "{asked_again} {what}");
         assert_eq!(health.stray, 0, "{what}");
         let told_lost = told.no_reply + told.unanswered + told.silent;
         if case.attempts == 1 {

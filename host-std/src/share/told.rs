@@ -65,9 +65,8 @@ impl Told {
             Event::Reply { ticket, kind, .. } if kind.ends_motion() => {
                 self.confirmed(ticket.motor());
             }
-            Event::LostMaster { motor } => self.lets_go(motor),
-            // A restart may be reported after a mere silence, in which it holds all the same. One that has restarted is
-            // off, and asking it does no harm.
+            // One that has restarted or has lost its master is told again if a stop is to hold it. If not, it is off
+            // behind its locked brake, and asking it does no harm.
             _ => {}
         }
         let (motor, status) = status_in(event)?;
@@ -81,7 +80,7 @@ impl Told {
         self.change(motor, Last::ToStop(StopKind::Hold), Last::ToHold);
     }
 
-    /// Its drive was told to restart, or has lost its master.
+    /// Its drive was told to restart.
     fn lets_go(&mut self, motor: MotorId) {
         self.change(motor, Last::ToHold, Last::Nothing);
     }
@@ -250,7 +249,7 @@ mod tests {
             (to_hold, reply(Opcode::ReadStatus1.into(), status), to_hold, false),
             (Last::ToHold, Event::StopUnconfirmed { motor: MOTOR }, Last::ToHold, false),
             (Last::ToHold, Event::Restarted { motor: MOTOR }, Last::ToHold, false),
-            (Last::ToHold, Event::LostMaster { motor: MOTOR }, Last::Nothing, false),
+            (Last::ToHold, Event::LostMaster { motor: MOTOR }, Last::ToHold, false),
             (Last::ToHold, reply(Opcode::ReadStatus1.into(), in_error), Last::InError, true),
             (Last::ToHold, report(&in_error), Last::InError, true),
             (Last::ToHold, report(&status), Last::ToHold, false),

@@ -317,6 +317,8 @@ pub fn check_brake<R: Runner<N>, const N: usize>(
 ///   checked, or give each bus a thread or a task.
 /// - After a longer pause the motor may answer and not obey until it is spoken to steadily again (2.31.1). Its brake
 ///   has locked by then, and torque and motion commands do not open it: [release](release_brake) it again.
+/// - Let it be 300 ms or more where a stop holds loads. Then a motor that has let go is told again to hold, if it
+///   answers again; see [`StopKind::Hold`].
 /// - A load falls until the brake holds: [lock](lock_brake) it before you fall silent on purpose.
 /// - The functions here that wait speak to each motor every 20 ms, or as often as the bus carries: on RS485 to one
 ///   other motor at a time, and behind an adapter that delivers in bursts once in two bursts. A motor that is silent is

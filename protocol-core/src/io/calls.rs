@@ -142,7 +142,8 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
         let is_there = answers(self, motor).await;
         if !is_known && !matches!(is_there, Ok(true)) {
             // Otherwise every stop of all would wait for an id without a motor.
-            forget_silent_ones(self, motor.into()).await;
+            let all = KeptAlive::new(self, MotorSet::ALL);
+            all.during(async |bus| forget_silent_ones(bus, motor.into()).await).await;
         }
         is_there
     }

@@ -86,9 +86,7 @@ impl Default for KeepAlive {
 }
 
 impl KeepAlive {
-    /// For motors that hold, for as long as they do: asks each that was sent nothing for 100 ms. One that was silent for
-    /// longer may have let go. If a stop in force is to hold it, it is told again when it answers, and then there is
-    /// another [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed).
+    /// For motors that hold, for as long as they do: asks each that was sent nothing for 100 ms.
     pub const fn new() -> Self {
         let errors_next = MotorSet::EMPTY;
         Self::while_waiting_for(WaitsFor::Anything { errors_next }, Instant::ZERO)
@@ -105,14 +103,17 @@ impl KeepAlive {
     }
 
     /// Asks those of these motors that were sent nothing for that long, or for 100 ms if they are silent. On RS485,
-    /// asks one at a time, and after 100 ms while anything but a stop waits for the line.
+    /// asks one at a time, and after 100 ms while anything but a stop waits for the line. So call this at least every
+    /// five milliseconds or so.
+    ///
+    /// If a motor may have let go that a stop in force is to hold, it is told again, and then there is another
+    /// [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed). That is so when it is
+    /// heard after a silence of more than 250 ms in which it was asked; when it has restarted; and when it says that it has lost its master. Without a stop in force nothing holds it again.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;
         }
-        if let WaitsFor::Anything { .. } = self.waits_for {
-            master.hold_again(motors);
-        }
+        master.hold_again(motors);
         let is_line = master.config().is_rs485();
         let rest = match self.waits_for {
             WaitsFor::Anything { .. } => LONGER_REST,

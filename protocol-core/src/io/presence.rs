@@ -138,18 +138,21 @@ async fn look_for<R: AsyncRunner<N>, const N: usize>(
 /// them, too, and is waited for: one of them may be there all the same.
 pub(super) async fn forget_silent_ones<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
-    mut motors: MotorSet,
+    motors: MotorSet,
 ) {
     let end = runner.now() + LONGEST_STOP;
     loop {
-        for motor in motors.iter() {
-            let master = runner.master();
-            if master.health(motor).last_seen.is_some() || master.forget(motor) {
-                motors.remove(motor);
-            }
-        }
+        let master = runner.master();
+        let is_silent = |&motor: &MotorId| master.health(motor).last_seen.is_none();
+        let silent: MotorSet = master
+            .motors()
+            .iter()
+            .filter(|motor| motors.contains(*motor))
+            .filter(is_silent)
+            .collect();
+        let left: MotorSet = silent.iter().filter(|motor| !master.forget(*motor)).collect();
         let now = runner.now();
-        if motors.is_empty() || now >= end {
+        if left.is_empty() || now >= end {
             return;
         }
         let _ = runner.run(Some(now + LONGEST_IDLE)).await;

@@ -195,8 +195,10 @@ impl<const N: usize> Master<N> {
         let is_report = match (self.motor(id), &reply) {
             _ if has_errors(&reply) => true,
             // A status without errors is also reported unasked (function 3).
+            // No drive reports a supply of 0 V: that is a read which it has sent back.
             (Some(_), AnyReply::ReadStatus1(_)) => {
-                !self.broadcast.may_be_mistaken(packet.data[0], id)
+                packet.data != ReadStatus1.encode()
+                    && !self.broadcast.may_be_mistaken(packet.data[0], id)
             }
             (Some(motor), _) => motor.reports(bit, self.now),
             (None, _) => bit != 0,
@@ -220,7 +222,7 @@ impl<const N: usize> Master<N> {
         self.lost_master.insert(motor);
         self.change(motor, |motor, config| {
             motor.was_heard(config, now);
-            motor.may_let_go();
+            motor.has_let_go();
             motor.last_sent.insert(LastSent::BEFORE_IT_LOST_MASTER);
         });
         Event::LostMaster { motor }

@@ -24,9 +24,9 @@ pub enum StopKind {
     /// reports an error confirms and holds nothing.
     ///
     /// One that has lost its master (0xB3) answers and does nothing, too, until it was spoken to steadily again. So
-    /// after a pause of more than 150 ms, on RS485 more with many motors, or two lost answers in a row, it has to answer
-    /// three commands before its confirmation counts. If it loses its master later, a
-    /// [`KeepAlive`](crate::io::KeepAlive) tells it again to hold.
+    /// after a pause or a silence of more than 150 ms it has to answer three commands before its confirmation counts;
+    /// with a protection that is shorter than that it may not obey yet. If it was silent for longer than 250 ms later,
+    /// has restarted or says that it has lost its master, a [`KeepAlive`](crate::io::KeepAlive) tells it again to hold.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake that was opened
     /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock
@@ -227,9 +227,15 @@ impl<const N: usize> Master<N> {
     /// Tells those of these motors to hold again that have confirmed it, under a stop in force, and may have let go
     /// since. Whether they confirm it again is reported as of any stop.
     pub(crate) fn hold_again(&mut self, motors: MotorSet) {
-        let may_be_loose = |motor: &Motor| motor.may_have_let_go() && motor.request.is_none();
+        // What all motors are about to be told may be to let go.
+        if self.broadcast.waiting().is_some_and(Kind::ends_motion) {
+            return;
+        }
         let is_it = |&it: &MotorId| {
-            motors.contains(it) && self.is_stopped(it) && self.motor(it).is_some_and(may_be_loose)
+            let says_so = self.lost_master.contains(it);
+            let is_loose =
+                |motor: &Motor| motor.may_have_let_go(says_so) && motor.request.is_none();
+            motors.contains(it) && self.is_stopped(it) && self.motor(it).is_some_and(is_loose)
         };
         let loose: MotorSet = self.motors().iter().filter(is_it).collect();
         for motor in loose.iter() {
@@ -357,7 +363,9 @@ impl<const N: usize> Master<N> {
         self.stops_all.is_some() || !self.stopped.is_empty()
     }
 
-    /// How many stops were called for so far, of one motor or of all, for [`lift_stop_if`](Self::lift_stop_if).
+    /// How many stops were called for so far, of one motor or of all, for [`lift_stop_if`](Self::lift_stop_if). Each call
+    /// of [`stop`](Self::stop) and [`stop_all`](Self::stop_all) counts, also those of a guard, and of a function that
+    /// gives up. So take it before the first of your own, or after the last.
     pub const fn stop_count(&self) -> u32 {
         self.stop_count
     }

@@ -5,7 +5,6 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
-use crate::master::motor::steady::LONGEST_PAUSE;
 use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
 use crate::opcode::Opcode;
@@ -119,11 +118,10 @@ impl<const N: usize> Master<N> {
         }
         // An answer may come although nothing waits for it, and must not collide with a command.
         let mut silence = Duration::ZERO;
-        let longest_pause = self.longest_pause();
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {
-                    motor.note_pause(longest_pause, now);
+                    motor.note_pause(now);
                     let is_over = motor.request_was_sent(now, config)?;
                     Some((is_over, motor.round))
                 });
@@ -142,7 +140,7 @@ impl<const N: usize> Master<N> {
             Offer::SetPoint(place) => {
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
-                    motor.note_pause(longest_pause, now);
+                    motor.note_pause(now);
                     motor.set_point_was_sent(now);
                     motor.round
                 });
@@ -184,15 +182,6 @@ impl<const N: usize> Master<N> {
             if matches!(offer, Offer::Broadcast | Offer::StopToAll) {
                 self.for_all = self.for_all.sent();
             }
-        }
-    }
-
-    /// After a longer pause between two commands a drive may have let go. On RS485 each motor may have to wait for all
-    /// others in any case.
-    fn longest_pause(&self) -> Duration {
-        match self.config.is_rs485() {
-            true => LONGEST_PAUSE.max(self.stop_timeout().times(self.places.taken.count())),
-            false => LONGEST_PAUSE,
         }
     }
 

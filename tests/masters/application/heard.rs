@@ -44,6 +44,10 @@ fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
 /// Each motor accepts its protection only at the third attempt, 100 ms after the first.
 fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     let bus = B::drives(&Fleet::new(8)).unwrap();
+    // An angle of 0 is read once more after a pause, as its answer equals the read.
+    for drive in &bus.drives {
+        drive.with(|drive| drive.plant_mut().set_output_angle_deg(10.0).unwrap());
+    }
     let mut firmware = Firmware::start(&bus, Panel::default());
     firmware.run_until_preparing();
     let began = firmware.runner.now();

@@ -288,6 +288,11 @@ impl Motor {
         self.misses > 1
     }
 
+    /// Whether it did not answer so many commands in a row that it hardly hears any.
+    pub(super) fn is_silent_for_long(&self) -> bool {
+        self.misses >= SILENT_ONES_TURN
+    }
+
     /// Whether motors at this round wait for this one's turn to answer or to be sent something. They do while it is
     /// behind. If it is silent, they do at every eighth command only: it may be back, and on a full bus its answers
     /// lose every arbitration. They always do if it is to end its motion, or if its frame made way for another, so that
@@ -476,12 +481,16 @@ impl Motor {
     /// doubled.
     #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
+        let was_asked_in_vain = self.misses > 0 || self.unreached > 0;
         self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else {
             self.note_first_heard(config, now);
             return false;
         };
         let silence = now - before;
+        if was_asked_in_vain {
+            self.note_end_of(silence);
+        }
         if self.was_missed() && silence >= RESTART_TAKES {
             self.begin_anew(config, now);
         }

@@ -143,7 +143,7 @@ impl Motor {
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             // It may be a set-point that was ignored, or from before that: the bytes of the set-point are no longer
             // known.
-            Some(_) if heard.may_be_ignored_one() => Meaning::Late,
+            Some(_) if heard.may_be_ignored_one() || self.is_sent_back(packet) => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, Position::of(&reply), None, heard),
                 Err(_) => Meaning::Late,
@@ -183,10 +183,12 @@ impl Motor {
             is_one_late = true;
         }
         let is_echo = set_point.data == packet.data;
-        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
+        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data)
+            || self.is_sent_back(packet);
         self.stream.take_in_flight();
         let is_of_before = self.was_told_before_it_lost_master();
         if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
+            self.has_let_go();
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -233,6 +235,7 @@ impl Motor {
         let is_of_before =
             self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
+            self.has_let_go();
             // The drive ignores one command, and no more.
             let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
             if asked.is_stop() || asked.may_go_again() && is_harmless() {

@@ -137,8 +137,8 @@ impl Motor {
         // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);
         self.position = None;
-        // It is no longer held.
-        if let LastStop::Confirmed(_) | LastStop::MayHaveLetGo = self.last_stop {
+        self.doubt_hold();
+        if let LastStop::Confirmed(_) = self.last_stop {
             self.last_stop = LastStop::None;
         }
         self.news.insert(News::RESTARTED);

@@ -8,10 +8,15 @@
 use crate::master::motor::Motor;
 use crate::master::motor::stopping::LastStop;
 use crate::master::stop::StopKind;
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
-/// After a longer pause a drive may have let go. What [keeps motors alive](crate::io::KeepAlive) pauses no longer.
-pub(crate) const LONGEST_PAUSE: Duration = Duration::from_millis(150);
+/// After a longer pause a drive may have let go.
+const LONGEST_PAUSE: Duration = Duration::from_millis(150);
+
+/// A silence that shows more than a lost answer: a motor that [is kept alive](crate::io::KeepAlive) is asked every 100
+/// ms.
+const LONGEST_SILENCE: Duration = Duration::from_millis(250);
 
 /// How many commands in a row a motor has to answer until it obeys for sure. It obeys the last of them.
 const STEADY_AFTER: u8 = 3;
@@ -29,7 +34,7 @@ impl Default for Answered {
 
 impl Motor {
     /// Whether it obeys for sure.
-    pub(super) fn is_steady(&self) -> bool {
+    pub(crate) fn is_steady(&self) -> bool {
         self.answered.0 >= STEADY_AFTER
     }
 
@@ -38,37 +43,67 @@ impl Motor {
         self.answered.0 == 0
     }
 
-    /// It may have let go: the next commands may be answered and not obeyed.
+    /// A command is sent now. If there was a long pause before it, or the motor was silent for so long, the next commands
+    /// may be answered and not obeyed.
+    #[inline]
+    pub(crate) fn note_pause(&mut self, now: Instant) {
+        if now - self.sent > LONGEST_PAUSE || self.was_missed() {
+            self.may_begin_anew(now);
+        }
+    }
+
     #[inline(never)]
-    pub(crate) fn may_let_go(&mut self) {
-        if self.health.last_seen().is_some() {
+    fn may_begin_anew(&mut self, now: Instant) {
+        let Some(seen) = self.health.last_seen() else { return };
+        if now - self.sent > LONGEST_PAUSE || now - seen > LONGEST_PAUSE {
             self.answered = Answered(0);
         }
-    }
-
-    /// A command is sent now. Before it there was a pause, or the motor was not heard.
-    #[inline]
-    pub(crate) fn note_pause(&mut self, longest: Duration, now: Instant) {
-        let was_silent = || self.health.last_seen().is_some_and(|seen| now - seen > longest);
-        if now - self.sent > longest || self.was_missed() && was_silent() {
-            self.may_let_go();
+        // What it reports unasked does not show that it hears anything.
+        if self.is_silent_for_long() {
+            self.has_let_go();
         }
     }
 
-    /// It has answered a command. A hold that it has confirmed before a long pause no longer counts.
-    #[inline]
-    pub(super) fn note_answer(&mut self) {
-        if self.is_steady() {
-            return;
+    /// It is heard after this silence, in which it was asked. Where nobody has asked it nothing follows: on a line that
+    /// may be so again and again, and telling it each time would take the time in which others have to be asked.
+    pub(super) fn note_end_of(&mut self, silence: Duration) {
+        if silence > LONGEST_SILENCE {
+            self.has_let_go();
         }
-        self.answered.0 += 1;
+    }
+
+    /// Its drive says that it has let go, sends a command back that it has ignored, or may have let go.
+    pub(crate) fn has_let_go(&mut self) {
+        self.answered = Answered(0);
+        self.doubt_hold();
+    }
+
+    /// A hold that it has confirmed no longer counts.
+    pub(super) fn doubt_hold(&mut self) {
         if let LastStop::Confirmed(StopKind::Hold) = self.last_stop {
             self.last_stop = LastStop::MayHaveLetGo;
         }
     }
 
-    /// Whether it has confirmed that it holds, and may have let go since.
-    pub(crate) fn may_have_let_go(&self) -> bool {
-        matches!(self.last_stop, LastStop::MayHaveLetGo)
+    /// It has answered a command.
+    #[inline]
+    pub(super) fn note_answer(&mut self) {
+        if !self.is_steady() {
+            self.answered.0 += 1;
+        }
+    }
+
+    /// Whether it has confirmed that it holds, and may have let go since. Nothing has to be known of that while it is
+    /// silent.
+    pub(crate) fn may_have_let_go(&self, says_so: bool) -> bool {
+        let answers = !self.was_missed() && !self.is_anew();
+        matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
+    }
+
+    /// Whether this is motion feedback that its drive did not measure. After a silence a drive may send back the first
+    /// command, which names no motor where feedback names its own.
+    pub(super) fn is_sent_back(&self, reply: &Packet) -> bool {
+        let names_it = self.id.is_some_and(|id| id.get() == reply.data[0]);
+        reply.is_motion() && self.is_anew() && !names_it
     }
 }

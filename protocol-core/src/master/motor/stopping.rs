@@ -154,7 +154,7 @@ impl Motor {
     pub(super) fn note_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         match &mut self.last_stop {
-            LastStop::MayHaveLetGo => self.last_stop = LastStop::None,
+            LastStop::MayHaveLetGo if told == StopKind::Off => self.last_stop = LastStop::None,
             LastStop::Confirmed(kind) if *kind != told => self.last_stop = LastStop::None,
             LastStop::Unconfirmed { kind, sendings, .. } if *kind != told => {
                 (*kind, *sendings) = (told, 0);
