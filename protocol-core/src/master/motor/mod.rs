@@ -481,8 +481,7 @@ impl Motor {
     /// doubled.
     #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
-        let was_asked_in_vain = self.misses > 0 || self.unreached > 0;
-        self.unreached = 0;
+        let was_asked_in_vain = self.misses | core::mem::take(&mut self.unreached) > 0;
         let Some(before) = self.health.note_heard(now) else {
             self.note_first_heard(config, now);
             return false;

@@ -73,6 +73,7 @@ impl Motor {
     }
 
     /// Its drive says that it has let go, sends a command back that it has ignored, or may have let go.
+    #[inline(never)]
     pub(crate) fn has_let_go(&mut self) {
         self.answered = Answered(0);
         self.doubt_hold();
@@ -103,7 +104,7 @@ impl Motor {
     /// Whether this is motion feedback that its drive did not measure. After a silence a drive may send back the first
     /// command, which names no motor where feedback names its own.
     pub(super) fn is_sent_back(&self, reply: &Packet) -> bool {
-        let names_it = self.id.is_some_and(|id| id.get() == reply.data[0]);
-        reply.is_motion() && self.is_anew() && !names_it
+        let names_it = || self.id.is_some_and(|id| id.get() == reply.data[0]);
+        self.is_anew() && reply.is_motion() && !names_it()
     }
 }
