@@ -34,12 +34,12 @@ pub(crate) fn measure(table: &mut Table) {
     let size = |bytes: usize| bytes as u32;
     table.head("bytes of RAM");
     let limit = |budget, ceiling| Limit::Ceiling { budget, ceiling };
-    table.row("master of 8 motors", size(size_of::<Master<8>>()), limit(1_024, 2_384));
-    table.row("master of 32 motors", size(size_of::<Master<32>>()), limit(4_096, 8_336));
+    table.row("master of 8 motors", size(size_of::<Master<8>>()), limit(1_024, 2_456));
+    table.row("master of 32 motors", size(size_of::<Master<32>>()), limit(4_096, 8_600));
 }
 
 /// What it costs today, for 1, 8 and 32 motors.
-const CEILINGS: [u32; 3] = [1_245, 1_225, 1_425];
+const CEILINGS: [u32; 3] = [1_290, 1_260, 1_430];
 
 /// Instructions a motor.
 fn round_trip<const N: usize>() -> u32 {
