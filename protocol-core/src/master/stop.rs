@@ -365,7 +365,8 @@ impl<const N: usize> Master<N> {
 
     /// How many stops were called for so far, of one motor or of all, for [`lift_stop_if`](Self::lift_stop_if). Each call
     /// of [`stop`](Self::stop) and [`stop_all`](Self::stop_all) counts, also those of a guard, and of a function that
-    /// gives up. So take it before the first of your own, or after the last.
+    /// gives up. Code that stops motors itself before it goes on takes this before, and adds the number of its own
+    /// calls: what is called for while it waits for them counts, too.
     pub const fn stop_count(&self) -> u32 {
         self.stop_count
     }
