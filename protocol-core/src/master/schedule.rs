@@ -97,16 +97,16 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop goes before any second. On RS485 motors that were heard last time come first, since a
-    /// motor that is not there occupies the line for the time-out of a stop. So does one that answers and may not obey
-    /// yet, as it has to be spoken to steadily. Among equals, the motor that was sent nothing for longest.
+    /// motor that is not there occupies the line for the time-out of a stop. After the first stops, one that answers and
+    /// may not obey yet comes first, as it has to be spoken to steadily. Among equals, the motor that was sent nothing
+    /// for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
             let turn = match (motor.waits_for_first_stop(), motor.seems_dead()) {
-                (true, false) => 0,
-                _ if !motor.is_steady() && !motor.was_missed() => 1,
-                (true, true) => 2,
-                (false, _) => 3,
+                (true, is_dead) => u8::from(is_dead),
+                _ if !motor.is_steady() && !motor.was_missed() => 2,
+                _ => 3,
             };
             (turn, motor.sent)
         };
