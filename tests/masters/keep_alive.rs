@@ -417,6 +417,23 @@ fn motors_of_a_slow_line_are_not_told_again_and_again() {
     assert!(told.len() <= 1, "{told:?}");
 }
 
+/// Behind such an adapter each of twelve is sent something every 400 ms while others are, too.
+#[test]
+fn holds_count_and_brakes_open_on_a_slow_line() {
+    let bus = Fleet::new(12).on_rs485(115_200).unwrap();
+    let config = Config::rs485(115_200, false).adapting_up_to(millis(40));
+    let (mut runner, station) = Rs485Line::runner::<16>(&bus.world, config);
+    bus.world.hand_over_every(station, millis(16));
+    let all: MotorSet = (1..=12).map(id).collect();
+    for _ in 0..3 {
+        assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+    }
+    runner.master().lift_stop();
+    let begun = runner.now();
+    assert_eq!(bring_up::release_brake(&mut runner, id(1)), Ok(()));
+    assert!(runner.now() - begun < millis(4_000), "{}", runner.now() - begun);
+}
+
 /// Both show what a motor that holds may have met: an error, or a restart.
 #[test]
 fn motors_that_hold_are_asked_for_errors_and_run_time_in_turn() {

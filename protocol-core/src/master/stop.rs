@@ -24,9 +24,10 @@ pub enum StopKind {
     /// reports an error confirms and holds nothing.
     ///
     /// One that has lost its master (0xB3) answers and does nothing, too, until it was spoken to steadily again. So
-    /// after a pause or a silence of more than 150 ms it has to answer three commands before its confirmation counts;
-    /// with a protection that is shorter than that it may not obey yet. If it was silent for longer than 250 ms later,
-    /// has restarted or says that it has lost its master, a [`KeepAlive`](crate::io::KeepAlive) tells it again to hold.
+    /// after a pause or a silence of more than 150 ms (on a slow line of twice an exchange with each motor, if that is
+    /// longer) it has to answer three commands before its confirmation counts. With a shorter protection it may not obey
+    /// yet. A [`KeepAlive`](crate::io::KeepAlive) tells it again to hold if it has restarted later, says that it has lost
+    /// its master, was silent for more than 250 ms, or was sent nothing for more than 400 ms, or twice as long a pause.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake that was opened
     /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock
@@ -233,8 +234,7 @@ impl<const N: usize> Master<N> {
         }
         let is_it = |&it: &MotorId| {
             let says_so = self.lost_master.contains(it);
-            let is_loose =
-                |motor: &Motor| motor.may_have_let_go(says_so) && motor.request.is_none();
+            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so);
             motors.contains(it) && self.is_stopped(it) && self.motor(it).is_some_and(is_loose)
         };
         let loose: MotorSet = self.motors().iter().filter(is_it).collect();

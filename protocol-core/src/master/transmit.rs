@@ -118,10 +118,11 @@ impl<const N: usize> Master<N> {
         }
         // An answer may come although nothing waits for it, and must not collide with a command.
         let mut silence = Duration::ZERO;
+        let on_line = if self.config.is_rs485() { self.places.taken.count() } else { 0 };
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {
-                    motor.note_pause(now);
+                    motor.note_pause(on_line, now);
                     let is_over = motor.request_was_sent(now, config)?;
                     Some((is_over, motor.round))
                 });
@@ -140,7 +141,7 @@ impl<const N: usize> Master<N> {
             Offer::SetPoint(place) => {
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
-                    motor.note_pause(now);
+                    motor.note_pause(on_line, now);
                     motor.set_point_was_sent(now);
                     motor.round
                 });

@@ -11,8 +11,12 @@ use crate::master::stop::StopKind;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
-/// After a longer pause a drive may have let go.
+/// After a longer pause between two commands a drive may have let go.
 const LONGEST_PAUSE: Duration = Duration::from_millis(150);
+
+/// After one that is longer than this it has to be told again to hold. That takes three commands, so that others of a
+/// line wait longer.
+const PAUSE_OF_LOSS: Duration = Duration::from_millis(400);
 
 /// A silence that shows more than a lost answer: a motor that [is kept alive](crate::io::KeepAlive) is asked every 100
 /// ms.
@@ -44,31 +48,35 @@ impl Motor {
     }
 
     /// A command is sent now. If there was a long pause before it, or the motor was silent for so long, the next commands
-    /// may be answered and not obeyed.
+    /// may be answered and not obeyed. So many motors take turns on a line.
     #[inline]
-    pub(crate) fn note_pause(&mut self, now: Instant) {
+    pub(crate) fn note_pause(&mut self, on_line: u32, now: Instant) {
         if now - self.sent > LONGEST_PAUSE || self.was_missed() {
-            self.may_begin_anew(now);
+            self.may_begin_anew(on_line, now);
         }
     }
 
     #[inline(never)]
-    fn may_begin_anew(&mut self, now: Instant) {
+    fn may_begin_anew(&mut self, on_line: u32, now: Instant) {
         let Some(seen) = self.health.last_seen() else { return };
-        if now - self.sent > LONGEST_PAUSE || now - seen > LONGEST_PAUSE {
+        // Twice the time of one exchange with each.
+        let longest = LONGEST_PAUSE.max(self.health.round_trip().times(2 * on_line));
+        let pause = now - self.sent;
+        if pause > longest || now - seen > longest {
             self.answered = Answered(0);
         }
         // What it reports unasked does not show that it hears anything.
-        if self.is_silent_for_long() {
+        if pause > PAUSE_OF_LOSS.max(longest.times(2)) || self.is_silent_for_long() {
             self.has_let_go();
         }
     }
 
-    /// It is heard after this silence, in which it was asked. Where nobody has asked it nothing follows: on a line that
-    /// may be so again and again, and telling it each time would take the time in which others have to be asked.
+    /// It is heard after this silence, in which it was asked.
     pub(super) fn note_end_of(&mut self, silence: Duration) {
         if silence > LONGEST_SILENCE {
             self.has_let_go();
+        } else if silence > LONGEST_PAUSE {
+            self.answered = Answered(0);
         }
     }
 
@@ -101,8 +109,8 @@ impl Motor {
         matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
     }
 
-    /// Whether this is motion feedback that its drive did not measure. After a silence a drive may send back the first
-    /// command, which names no motor where feedback names its own.
+    /// Whether this may be motion feedback that its drive did not measure. After a silence a drive may send back the first
+    /// command, which names no motor. Feedback mostly names its own.
     pub(super) fn is_sent_back(&self, reply: &Packet) -> bool {
         let names_it = || self.id.is_some_and(|id| id.get() == reply.data[0]);
         self.is_anew() && reply.is_motion() && !names_it()

@@ -240,6 +240,44 @@ fn set_point_that_is_sent_back_after_a_silence_is_no_feedback() {
     }
 }
 
+/// It lay in the controller while the bus was out, and comes back before anything else was sent.
+#[test]
+fn set_point_that_is_sent_back_after_an_outage_is_no_feedback() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert!(matches!(motion_feedback(&mut master, ms(1)), Some(Event::Feedback { .. })));
+    let known = master.latest_feedback(id(1));
+    master.set_point(id(1), motion(), ms(2)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    events(&mut master, ms(30));
+    let packet = Packet { channel: Channel::MotionReply(id(1)), data: motion().encode() };
+    let event = master.handle_frame(&Received::Packet(packet), ms(520));
+    assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    assert_eq!(master.latest_feedback(id(1)), known);
+}
+
+/// Its program has hung. Nothing was lost, and nothing shows that it has let go.
+#[test]
+fn motor_that_was_sent_nothing_for_long_is_told_again() {
+    for (pause, is_told) in [(400, false), (401, true)] {
+        let mut master = held();
+        answers(&mut master, [20, 20 + pause]);
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(21 + pause)).len(), usize::from(is_told), "{pause}");
+    }
+}
+
+/// Whoever asks it all the time leaves it no rest.
+#[test]
+fn motor_is_told_again_although_it_is_busy() {
+    let mut master = held();
+    answers(&mut master, [20, 520]);
+    let _ = master.request(id(1), ReadModel).unwrap();
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(521)), [packet_to(1, Stop.encode())]);
+}
+
 /// It was asked for its errors. 0 V: it has measured nothing.
 #[test]
 fn status_that_is_sent_back_late_is_no_report() {
