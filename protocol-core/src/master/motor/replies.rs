@@ -143,7 +143,7 @@ impl Motor {
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             // It may be a set-point that was ignored, or from before that: the bytes of the set-point are no longer
             // known.
-            Some(_) if heard.may_be_ignored_one() || self.is_sent_back(packet) => Meaning::Late,
+            Some(_) if heard.may_be_ignored_one() || self.may_be_sent_back(packet) => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, Position::of(&reply), None, heard),
                 Err(_) => Meaning::Late,
@@ -184,7 +184,7 @@ impl Motor {
         }
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data)
-            || self.is_sent_back(packet);
+            || !self.is_steady() && self.may_be_sent_back(packet);
         self.stream.take_in_flight();
         let is_of_before = self.was_told_before_it_lost_master();
         if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {

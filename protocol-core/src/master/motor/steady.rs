@@ -109,10 +109,9 @@ impl Motor {
         matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
     }
 
-    /// Whether this may be motion feedback that its drive did not measure. After a silence a drive may send back the first
-    /// command, which names no motor. Feedback mostly names its own.
-    pub(super) fn is_sent_back(&self, reply: &Packet) -> bool {
-        let names_it = || self.id.is_some_and(|id| id.get() == reply.data[0]);
-        self.is_anew() && reply.is_motion() && !names_it()
+    /// Whether this may be a motion command, and not feedback. After a silence a drive may send back the first command,
+    /// perhaps behind its answers to others. Feedback mostly names its motor, and a command none.
+    pub(super) fn may_be_sent_back(&self, reply: &Packet) -> bool {
+        reply.is_motion() && self.id.is_some_and(|id| id.get() != reply.data[0])
     }
 }

@@ -257,6 +257,26 @@ fn set_point_that_is_sent_back_after_an_outage_is_no_feedback() {
     assert_eq!(master.latest_feedback(id(1)), known);
 }
 
+/// Its identifier is less urgent than those of the answers to the stops, which come first.
+#[test]
+fn set_point_that_is_sent_back_behind_other_answers_is_no_feedback() {
+    let mut master = Master::<2>::new(Config::CAN);
+    answers(&mut master, 1..5);
+    master.set_point(id(1), motion(), ms(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(5)).len(), 1);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(6)).len(), 1);
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(20)).unwrap();
+    for now in 21..25 {
+        reply(&mut master, 1, Stop.encode(), ms(now));
+        sent(&mut master, ms(now));
+    }
+    let packet = Packet { channel: Channel::MotionReply(id(1)), data: motion().encode() };
+    let event = master.handle_frame(&Received::Packet(packet), ms(26));
+    assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    assert_eq!(master.latest_feedback(id(1)), None);
+}
+
 /// Its program has hung. Nothing was lost, and nothing shows that it has let go.
 #[test]
 fn motor_that_was_sent_nothing_for_long_is_told_again() {
