@@ -228,6 +228,18 @@ fn others_hold_until_a_stop_of_all_gives_a_dead_one_up<W: Wire>() {
     check_others_hold(&bus);
 }
 
+/// Motors whose protection acts after 300 ms.
+fn protected<W: Wire>(fleet: &Fleet) -> (BusFleet<W>, W::Runner<8>, MotorSet) {
+    let bus = W::drives(fleet).unwrap();
+    let mut runner = master::<W>(&bus);
+    let all: MotorSet = bus.drives.iter().map(|drive| drive.motor()).collect();
+    for motor in all.iter() {
+        let limit = Milliseconds::from_raw(300);
+        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
+    }
+    (bus, runner, all)
+}
+
 /// They have no brakes. In the outage their protection cuts their outputs, and their first answers after it do not say
 /// that. Before their stop, or while it is in force.
 fn motors_hold_after_an_outage<W: Wire>() {
@@ -238,13 +250,7 @@ fn motors_hold_after_an_outage<W: Wire>() {
     });
     for (outage, lost_master_heartbeat, is_stopped) in cases {
         let quirks = Quirks { lost_master_heartbeat, ..Quirks::default() };
-        let bus = W::drives(&Fleet::new(4).quirks(quirks)).unwrap();
-        let mut runner = master::<W>(&bus);
-        let all: MotorSet = (1..=4).map(id).collect();
-        for motor in all.iter() {
-            let limit = Milliseconds::from_raw(300);
-            assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
-        }
+        let (bus, mut runner, all) = protected::<W>(&Fleet::new(4).quirks(quirks));
         assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
         for drive in &bus.drives {
             let pulls = Load { torque_nm: 3.0, ..Load::NONE };
@@ -282,13 +288,7 @@ fn motors_hold_after_an_outage<W: Wire>() {
 
 /// They are out while others are worked with. Nobody falls for long.
 fn motors_that_are_stopped_hold_after_an_outage_in_which_a_function_waits<W: Wire>() {
-    let bus = W::drives(&Fleet::new(4)).unwrap();
-    let mut runner = master::<W>(&bus);
-    let all: MotorSet = (1..=4).map(id).collect();
-    for motor in all.iter() {
-        let limit = Milliseconds::from_raw(300);
-        assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
-    }
+    let (bus, mut runner, all) = protected::<W>(&Fleet::new(4));
     assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
     bus.drives.iter().for_each(|drive| bus.world.cut(drive.station()));
     let _ = bring_up::wait_until_there(&mut runner, id(20), millis(600));
@@ -303,13 +303,7 @@ fn motors_that_are_stopped_hold_after_an_outage_in_which_a_function_waits<W: Wir
 /// Longer than their protection allows. A read or set-points are under way, and their answers come after that.
 fn motors_hold_after_the_host_was_held_up<W: Wire>() {
     for streams in [false, true] {
-        let bus = W::drives(&Fleet::new(2)).unwrap();
-        let mut runner = master::<W>(&bus);
-        let all = MotorSet::from([id(1), id(2)]);
-        for motor in all.iter() {
-            let limit = Milliseconds::from_raw(300);
-            assert_eq!(bring_up::protect(&mut runner, motor, limit), Ok(Protection::Confirmed));
-        }
+        let (bus, mut runner, all) = protected::<W>(&Fleet::new(2));
         let turn_on = |runner: &mut W::Runner<8>| {
             for motor in all.iter() {
                 let now = runner.now();

@@ -108,7 +108,9 @@ impl KeepAlive {
     ///
     /// If a motor may have let go that a stop in force is to hold, it is told again, and then there is another
     /// [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed). That is so when it is
-    /// heard after a silence of more than 250 ms in which it was asked; when it has restarted; and when it says that it has lost its master. Without a stop in force nothing holds it again.
+    /// heard after a silence of more than 250 ms in which it was asked, or after a long pause in which nobody spoke to
+    /// it; when it has restarted; and when it says that it has lost its master. Without a stop in force nothing holds it
+    /// again.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;

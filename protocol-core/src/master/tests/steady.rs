@@ -211,6 +211,14 @@ fn motor_that_says_that_it_has_let_go_is_told_again_at_once() {
     assert_eq!(answers_until(&mut master, Stop.encode(), 21, is_confirmed), 4);
 }
 
+/// The drive sends this back, which is no feedback.
+#[track_caller]
+fn comes_back(master: &mut Master<2>, set_point: RawMotion, at: Instant) {
+    let packet = Packet { channel: Channel::MotionReply(id(1)), data: set_point.encode() };
+    let event = master.handle_frame(&Received::Packet(packet), at);
+    assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+}
+
 /// Its message was not heard: the first set-point after the silence, or one from the silence, comes back.
 #[test]
 fn set_point_that_is_sent_back_after_a_silence_is_no_feedback() {
@@ -232,10 +240,7 @@ fn set_point_that_is_sent_back_after_a_silence_is_no_feedback() {
             assert_eq!(sent(&mut master, ms(230)).len(), 1);
             at = 231;
         }
-        let sent_back = if is_late { other } else { motion() };
-        let packet = Packet { channel: Channel::MotionReply(id(1)), data: sent_back.encode() };
-        let event = master.handle_frame(&Received::Packet(packet), ms(at));
-        assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+        comes_back(&mut master, if is_late { other } else { motion() }, ms(at));
         assert_eq!(master.latest_feedback(id(1)), known);
     }
 }
@@ -251,9 +256,7 @@ fn set_point_that_is_sent_back_after_an_outage_is_no_feedback() {
     master.set_point(id(1), motion(), ms(2)).unwrap();
     assert_eq!(sent(&mut master, ms(2)).len(), 1);
     events(&mut master, ms(30));
-    let packet = Packet { channel: Channel::MotionReply(id(1)), data: motion().encode() };
-    let event = master.handle_frame(&Received::Packet(packet), ms(520));
-    assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    comes_back(&mut master, motion(), ms(520));
     assert_eq!(master.latest_feedback(id(1)), known);
 }
 
@@ -271,9 +274,7 @@ fn set_point_that_is_sent_back_behind_other_answers_is_no_feedback() {
         reply(&mut master, 1, Stop.encode(), ms(now));
         sent(&mut master, ms(now));
     }
-    let packet = Packet { channel: Channel::MotionReply(id(1)), data: motion().encode() };
-    let event = master.handle_frame(&Received::Packet(packet), ms(26));
-    assert!(!matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    comes_back(&mut master, motion(), ms(26));
     assert_eq!(master.latest_feedback(id(1)), None);
 }
 
