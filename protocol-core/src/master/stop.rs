@@ -228,8 +228,7 @@ impl<const N: usize> Master<N> {
     /// Tells those of these motors to hold again that have confirmed it, under a stop in force, and may have let go
     /// since. Whether they confirm it again is reported as of any stop.
     pub(crate) fn hold_again(&mut self, motors: MotorSet) {
-        // What all motors are about to be told may be to let go.
-        if self.broadcast.waiting().is_some_and(Kind::ends_motion) {
+        if self.is_end_of_all_waiting() {
             return;
         }
         let is_it = |&it: &MotorId| {
@@ -289,9 +288,12 @@ impl<const N: usize> Master<N> {
     /// The stop in force that this motor has not confirmed, and since when nothing was done about it.
     fn unconfirmed_stop(&self, motor: &Motor) -> Option<(MotorId, StopKind, Instant)> {
         let (id, (kind, since)) = (motor.id?, motor.unconfirmed_stop()?);
-        // What all motors are about to be told may be a different stop.
-        let is_superseded = self.broadcast.waiting().is_some_and(Kind::ends_motion);
-        (self.is_stopped(id) && !is_superseded).then_some((id, kind, since))
+        (self.is_stopped(id) && !self.is_end_of_all_waiting()).then_some((id, kind, since))
+    }
+
+    /// Whether all motors are about to be told something that may be a different stop, or to let go.
+    fn is_end_of_all_waiting(&self) -> bool {
+        self.broadcast.waiting().is_some_and(Kind::ends_motion)
     }
 
     fn rest_before_next_stop(&self) -> Duration {

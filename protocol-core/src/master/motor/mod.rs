@@ -2,6 +2,7 @@
 
 pub(super) mod deadlines;
 mod late_moves;
+mod outages;
 mod pushed_out;
 pub(super) mod replies;
 pub(super) mod reports;
@@ -414,47 +415,6 @@ impl Motor {
         match stop {
             Some(stop) => self.stop_was_given_up(&stop, now),
             None => self.request = Request::Failed(why),
-        }
-    }
-
-    /// The bus carries nothing: what waits is dropped, except for stops, and late replies come later.
-    pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
-        if self.is_waiting() && !self.is_stop_waiting() {
-            self.unreached = self.unreached.saturating_add(1);
-            if self.unreached >= SILENT_AFTER {
-                self.note_silence(config, now);
-            }
-        }
-        self.late.extend(now + config.late_window);
-        self.on_its_way.extend(now, config);
-        self.drop_waiting(|asked| (!asked.is_stop()).then_some(Failure::BusDown), config, now);
-    }
-
-    /// The bus may be down: what waits is dropped if a stop would refuse it. Late replies come later if what has arrived
-    /// may be kept back.
-    pub(super) fn bus_may_be_down(&mut self, may_be_kept: bool, now: Instant, config: &Config) {
-        if may_be_kept {
-            // Not for longer: errors that pause for one look would prolong it for ever.
-            self.late.extend(now + config.reply_timeout);
-        }
-        let why = |asked: &Asked| {
-            // Its caller has to know whether it was sent.
-            let why = if asked.unanswered > 0 { Failure::NoReply } else { Failure::BusDown };
-            asked.kind().is_refused_while_stopped().then_some(why)
-        };
-        self.drop_waiting(why, config, now);
-    }
-
-    /// Drops the set-point that waits, and a request if `why` returns a reason.
-    fn drop_waiting(
-        &mut self,
-        why: impl Fn(&Asked) -> Option<Failure>,
-        config: &Config,
-        now: Instant,
-    ) {
-        self.drop_waiting_set_point();
-        if let Some(why) = self.request.waiting().and_then(why) {
-            self.request_has_failed(why, config, now);
         }
     }
 
