@@ -317,6 +317,10 @@ impl Truth {
             page.longest_silence = page.longest_silence.max(silence);
             page.delivered_at = Some(now);
         }
+        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
+        if is_motion && (packet.data[0] != motor.get() || packet.data[6..] != [0, 0]) {
+            page.no_feedback += 1;
+        }
         if is_misled && packet.data[3] != DONE && !is_lost_master {
             page.excuses.note(question, Excuse::EchoesTaken, now, window);
         }

@@ -39,7 +39,8 @@ pub(crate) struct Told {
     pub(crate) unanswered: u64,
     pub(crate) strays: u64,
     lost_master: u32,
-    /// How many set-points seemed ignored, because an echo passed for a command that their drive hands back.
+    /// How many set-points seemed ignored, because an echo or flipped bits passed for a command that their drive hands
+    /// back.
     seemed_ignored: u32,
     /// When its last restart was reported.
     restarted: u64,
@@ -162,7 +163,8 @@ impl Oracle {
                 let page = truth.page(motor);
                 page.turning.was_given_up(now + window);
                 // A drive that has lost its master hands back the first command, which it has ignored.
-                if is_echo {
+                if is_echo || page.no_feedback > 0 {
+                    page.no_feedback = page.no_feedback.saturating_sub(1);
                     page.set_points.seemed_ignored();
                     self.told[motor.index()].seemed_ignored += 1;
                 }

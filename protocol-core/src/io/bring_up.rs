@@ -10,8 +10,8 @@
 //! first whether an id [is shared](is_shared).
 //!
 //! **After a crash or a watchdog's reset motors may still run as they were told.** Stop those of your robot first, by
-//! their ids: `bus.stop_all(StopKind::Hold, ids)`. A new master cannot know whether a motor has lost its master (0xB3)
-//! before. Such a motor confirms and obeys the third stop only: call it three times.
+//! their ids: `bus.stop_all(StopKind::Hold, ids)`. They may have lost their master (0xB3), so each has to answer three
+//! times before that counts as confirmed.
 //!
 //! # While a function here waits
 //! Some take seconds. To look at a button meanwhile, or to feed a watchdog, give them a loop of your own around that of

@@ -96,7 +96,6 @@ impl<const N: usize> Master<N> {
             at: now,
             to_all: &mut self.broadcast,
             lost_master: &mut self.lost_master,
-            is_first: false,
         };
         let meaning = self.places.of(id).and_then(|place| {
             self.places.change(&mut self.motors, place, |motor| motor.take(&mut heard))

@@ -23,11 +23,12 @@ pub enum StopKind {
     /// and needs time to come to rest. Where a load could fall, read its errors (0x9A) and lock a brake: a motor that
     /// reports an error confirms and holds nothing.
     ///
-    /// One that has lost its master (0xB3) answers and does nothing, too, until it was spoken to steadily again. So
-    /// after a pause or a silence of more than 150 ms (on a slow line of twice an exchange with each motor, if that is
-    /// longer) it has to answer three commands before its confirmation counts. With a shorter protection it may not obey
-    /// yet. A [`KeepAlive`](crate::io::KeepAlive) tells it again to hold if it has restarted later, says that it has lost
-    /// its master, was silent for more than 250 ms, or was sent nothing for more than 400 ms, or twice as long a pause.
+    /// One that has lost its master (0xB3) answers and does nothing, too, until it was spoken to steadily again. So a
+    /// motor that is new to the master, or was not spoken to or silent for more than 150 ms (on a slow line for twice
+    /// an exchange with each motor, if that is longer), has to answer three commands before its confirmation counts.
+    /// With a shorter protection it may not obey yet. A [`KeepAlive`](crate::io::KeepAlive) tells it again to hold if
+    /// it has restarted later, says that it has lost its master, was silent for more than 250 ms, or was sent nothing
+    /// for more than 400 ms, or twice as long a pause.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them. A brake that was opened
     /// by 0x77 may stay open, and any brake takes up to 200 ms to lock: where a load could fall, first hold it, lock

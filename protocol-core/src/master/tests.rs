@@ -103,6 +103,12 @@ fn once(millis: u64) -> Patience {
     Patience { attempts: 1, reply_timeout: Duration::from_millis(millis) }
 }
 
+/// This motor has answered commands before, so that the first answer to a hold counts.
+fn obeys<const N: usize>(master: &mut Master<N>, motor: u8) {
+    master.place_for(id(motor)).unwrap();
+    master.change(id(motor), |motor, _| (0..3).for_each(|_| motor.note_there()));
+}
+
 /// This motor was stopped and confirms no attempt from then on. Returns when that was reported.
 fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> u64 {
     let unconfirmed = [Event::StopUnconfirmed { motor: id(motor) }];

@@ -526,18 +526,15 @@ mod tests {
         (fleet, session)
     }
 
-    /// Before this program began, so that its master knows nothing of the silence.
+    /// The program was held up behind its stop.
     #[test]
     fn motor_that_lost_its_master_is_stopped_again_until_it_holds() {
         let motor = MotorId::MIN;
-        let (fleet, session) = protected_after(100);
-        drop(session);
-        fleet.world.run_for(Duration::from_millis(200));
-        let mut session = Session::on(&fleet);
+        let (fleet, mut session) = protected_after(100);
         session.stop(StopKind::Hold, motor.into()).unwrap();
+        fleet.world.run_for(Duration::from_millis(200));
         let is_on = || fleet.drives[0].with(|drive| drive.state().output_on);
-        assert!(!is_on(), "it has ignored that");
-        // It hears it steadily now.
+        assert!(!is_on(), "it has let go");
         let holds =
             "motor 1 is stopped and holds still (0x81) unless its protection (0xB3) ends that"
                 .to_owned();

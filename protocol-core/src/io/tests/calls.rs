@@ -324,7 +324,7 @@ fn motors_found_by_a_scan_keep_places_if_there_is_one_for_each() {
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 3>::new);
     assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
     assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
-    assert_eq!(times_sent(&bus, Stop.encode()), 3);
+    assert_eq!(times_sent(&bus, Stop.encode()), 3 * 3, "three answers of each");
 
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 2>::new);
     arm.ask(id(2), ReadMultiTurnAngle).unwrap();

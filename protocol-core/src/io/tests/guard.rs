@@ -207,7 +207,8 @@ fn guarded_task_stops_motors_after_a_panic() {
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
     let before = bus.sent().len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
-    assert_eq!(bus.sent()[before..], [Stop.encode()]);
+    // It has answered one command before.
+    assert_eq!(bus.sent()[before..], [Stop.encode(); 2]);
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
@@ -215,7 +216,7 @@ fn guarded_task_stops_motors_after_a_panic() {
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
     let before = port.commands().len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
-    assert_eq!(port.commands()[before..], [Stop.encode(); 3]);
+    assert_eq!(port.commands()[before..], [Stop.encode(); 4], "to all, and three of its own");
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
@@ -225,6 +226,7 @@ fn guarded_task_that_ends_stops_its_motor_once() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<TestCan, TestClock, 4>::new);
     let (is_done, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
         bus.ask(id(1), ReadMultiTurnAngle).await.is_ok()
+            && bus.ask(id(1), ReadMultiTurnAngle).await.is_ok()
     }));
     assert!(is_done && unconfirmed.is_empty());
     let stops = |bus: &TestCan| bus.sent().iter().filter(|&&data| data == Stop.encode()).count();

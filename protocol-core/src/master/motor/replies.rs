@@ -43,8 +43,6 @@ pub(crate) struct Heard<'a> {
     pub(crate) at: Instant,
     pub(crate) to_all: &'a mut Broadcast,
     pub(crate) lost_master: &'a mut MotorSet,
-    /// Nothing was heard of the motor before.
-    pub(crate) is_first: bool,
 }
 
 impl Heard<'_> {
@@ -71,7 +69,6 @@ impl Heard<'_> {
 
 impl Motor {
     pub(crate) fn take(&mut self, heard: &mut Heard<'_>) -> Meaning {
-        heard.is_first = self.health.last_seen().is_none();
         let &mut Heard { config, packet, at: now, .. } = heard;
         let is_same = |question: Question| question.is_answered_by(packet);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
@@ -89,10 +86,13 @@ impl Motor {
             self.last_answered = Some(asked.question);
             return self.take_what_may_answer(asked, may_be_doubled, heard);
         }
-        // It came too soon after the last sending: it answers an earlier one, or a stop to all.
-        let is_of_stop =
-            |asked: &Asked| asked.is_stop() && asked.unanswered > 1 && is_same(asked.question);
-        if self.request.in_flight().is_some_and(is_of_stop) {
+        // It came too soon after the last sending: it answers an earlier one, or a stop to all. As a stray it would look
+        // like another master's stop.
+        let is_of_end = |asked: &Asked| {
+            let was_sent_before = asked.unanswered > 1 || may_be_doubled;
+            asked.ends_motion() && was_sent_before && is_same(asked.question)
+        };
+        if self.request.under_way().is_some_and(is_of_end) {
             return Meaning::Nothing;
         }
         self.take_what_answers_nothing(may_be_doubled, heard)
@@ -183,12 +183,16 @@ impl Motor {
             is_one_late = true;
         }
         let is_echo = set_point.data == packet.data;
-        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data)
-            || !self.is_steady() && self.may_be_sent_back(packet);
+        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
         let is_of_before = self.was_told_before_it_lost_master();
         if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
             self.has_let_go();
+            return Meaning::SetPointIgnored;
+        }
+        if !self.is_steady() && self.may_be_sent_back(packet) {
+            // It shows that the motor is spoken to: the feedback of some drives always looks like this.
+            self.note_there();
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -250,8 +254,7 @@ impl Motor {
         // Where commands are echoed, an answer that comes behind a further attempt passes for its echo: then equal
         // answers might use up all attempts.
         let may_be_behind = config.echoes() && asked.unanswered > 0;
-        let is_anew = heard.is_first || self.is_anew();
-        let may_be_ignored = is_echo && is_anew && !may_be_behind;
+        let may_be_ignored = is_echo && self.is_anew() && !may_be_behind;
         if may_be_ignored && asked.kind().is_read() && asked.may_go_again() {
             self.answered(None);
             asked.attempts_left = asked.attempts_left.saturating_add(1);

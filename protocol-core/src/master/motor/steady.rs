@@ -25,16 +25,10 @@ const LONGEST_SILENCE: Duration = Duration::from_millis(250);
 /// How many commands in a row a motor has to answer until it obeys for sure. It obeys the last of them.
 const STEADY_AFTER: u8 = 3;
 
-/// How many commands a motor has answered since the last long pause.
-#[derive(Clone, Copy, Debug)]
+/// How many commands a motor has answered since the last long pause, or since the master knows it: nobody may have spoken to it
+/// before.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Answered(u8);
-
-impl Default for Answered {
-    /// A motor that was not heard before is believed: nothing is known of a pause.
-    fn default() -> Self {
-        Self(STEADY_AFTER)
-    }
-}
 
 impl Motor {
     /// Whether it obeys for sure.
@@ -110,8 +104,10 @@ impl Motor {
     }
 
     /// Whether this may be a motion command, and not feedback. After a silence a drive may send back the first command,
-    /// perhaps behind its answers to others. Feedback mostly names its motor, and a command none.
+    /// perhaps behind its answers to others. Feedback names its motor and ends with two bytes of 0 (5.3); of the commands
+    /// only those with the most negative torque end so. Some drives name another motor.
     pub(super) fn may_be_sent_back(&self, reply: &Packet) -> bool {
-        reply.is_motion() && self.id.is_some_and(|id| id.get() != reply.data[0])
+        let names_it = self.id.is_some_and(|id| id.get() == reply.data[0]);
+        reply.is_motion() && !(names_it && reply.data.ends_with(&[0, 0]))
     }
 }

@@ -545,6 +545,7 @@ fn stop_after_a_move_to_all_and_a_lost_shutdown_takes_three_answers() {
 #[test]
 fn stop_right_after_a_restart_is_confirmed_once_that_must_have_arrived() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     assert_eq!(events(&mut master, ms(0)), []);
     let _reset = master.request(id(1), Reset).unwrap();
     sent(&mut master, ms(0));

@@ -9,6 +9,7 @@ use super::*;
 fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
     let mut master = Master::<2>::new(Config::CAN);
     before(&mut master);
+    obeys(&mut master, 1);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(at))[0].data, Stop.encode());
     match reply(&mut master, 1, Stop.encode(), ms(at + 1)) {
@@ -66,6 +67,7 @@ fn hold_is_in_doubt_while_an_earlier_shutdown_or_reset_to_all_may_arrive() {
     assert!(held_after(answered_once, 3).is_err());
     // It was handed back, and goes to the others.
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let in_mailbox = to_all(&mut master, Shutdown, 0);
     master.stop(id(1), StopKind::Hold).unwrap();
     sent(&mut master, ms(1));
@@ -232,6 +234,8 @@ fn shutdown_to_all_overtaken_by_a_hold_does_not_reach_the_held_motor() {
     for is_confirmed in [true, false] {
         for is_handed_back in [true, false] {
             let mut master = Master::<2>::new(Config::CAN);
+            obeys(&mut master, 1);
+            obeys(&mut master, 2);
             let both = [1, 2].into_iter().map(id).collect();
             master.stop_all(StopKind::Hold, both).unwrap();
             assert_eq!(sent(&mut master, ms(0)).len(), 2);

@@ -290,6 +290,7 @@ fn says(master: &mut Master<8>, motor: u8, data: Data, at: Instant) -> Option<Ev
 /// A line on which motor 1 is stopped like this, and called again, and motor 8 follows a stream.
 fn called_again(kind: StopKind) -> Master<8> {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    obeys(&mut master, 1);
     is_stopped_by_line(&mut master, 1, kind, ms(0));
     is_stopped_by_line(&mut master, 1, kind, ms(1));
     master.set_point(id(8), torque(1.0), ms(2)).unwrap();
@@ -329,6 +330,7 @@ fn hold_after_a_shutdown_to_all_is_no_repeated_stop() {
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(3)), [packet_to_all(Shutdown.encode())]);
     events(&mut master, ms(30));
+    obeys(&mut master, 3);
     is_stopped_by_line(&mut master, 3, StopKind::Hold, ms(30));
     is_stopped_by_line(&mut master, 3, StopKind::Hold, ms(31));
     master.set_point(id(8), torque(1.0), ms(32)).unwrap();

@@ -377,6 +377,7 @@ fn on_rs485_individual_hold_waits_for_the_answer_to_a_read() {
 #[test]
 fn first_stop_is_sent_before_the_second_stop_of_another_motor() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    obeys(&mut master, 1);
     let hold = |motor| Frame { address: Target::Motor(id(motor)), data: Stop.encode() };
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
@@ -446,6 +447,7 @@ fn confirms_while_another_is_stopped_anew(master: &mut Master<2>, from: u64) -> 
 #[test]
 fn lost_stop_is_resent_though_another_motor_is_stopped_in_every_cycle() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    obeys(&mut master, 1);
     master.stop(id(2), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(0)), [packet_to(2, Shutdown.encode())]);
     // Behind the time-out of the first.

@@ -118,6 +118,7 @@ fn handed_back_stop_or_shutdown_to_all_is_sent_again_once_reported_done() {
     // A bus that carries something holds none of these back.
     reply(&mut master, 2, ANGLE_REPLY, ms(50));
     // A stop that came after it is not to be undone by it: a load that is held would fall.
+    obeys(&mut master, 1);
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     let in_mailbox = sent(&mut master, ms(100))[0];
     events(&mut master, ms(100));
@@ -162,6 +163,7 @@ fn stop_to_all_skips_a_motor_whose_later_stop_it_would_undo() {
     ] {
         for is_handed_back in [true, false] {
             let mut master = Master::<2>::new(Config::CAN);
+            obeys(&mut master, 1);
             for motor in [1, 2] {
                 let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
                 reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
@@ -220,6 +222,7 @@ fn hold_is_confirmed_once_no_earlier_shutdown_or_reset_can_arrive() {
     // On a controller that keeps no order among frames of one identifier.
     fn is_held_at_once<C: Command>(command: C) -> bool {
         let mut master = Master::<2>::new(Config::CAN);
+        obeys(&mut master, 1);
         let _ = ask(&mut master, 1, command, ms(0));
         // A restart has no answer, and is over when it was sent.
         events(&mut master, ms(0));
@@ -245,12 +248,14 @@ fn hold_is_confirmed_once_no_earlier_shutdown_or_reset_can_arrive() {
 fn stop_that_nothing_pending_can_undo_is_confirmed_at_once() {
     // A Shutdown that still waits has not gone, and does not when the motor is stopped.
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let _ = master.request(id(1), Shutdown).unwrap();
     master.stop(id(1), StopKind::Hold).unwrap();
     sent(&mut master, ms(0));
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
     // A line has no mailboxes: after the window nothing comes.
     let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    obeys(&mut master, 1);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
     events(&mut master, ms(10));
@@ -418,6 +423,7 @@ fn shutdown_to_all_handed_back_before_it_was_reported_undoes_no_hold() {
     for (expected, over) in [(id(1).into(), 0), (MotorSet::EMPTY, 0), (id(1).into(), 21)] {
         for is_stopped_before in [false, true] {
             let mut master = Master::<2>::new(Config::CAN);
+            obeys(&mut master, 1);
             for motor in [1, 2] {
                 let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
                 reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
@@ -447,6 +453,7 @@ fn shutdown_to_all_handed_back_before_it_was_reported_undoes_no_hold() {
     }
     // Nothing switches on what a stop has switched off, whenever that was.
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 2, ANGLE_REPLY, ms(1)).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -464,6 +471,7 @@ fn hold_is_confirmed_once_no_shutdown_to_all_can_arrive() {
         master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
         let in_mailbox = sent(&mut master, ms(0))[0];
         events(&mut master, ms(0));
+        obeys(&mut master, 1);
         master.stop(id(1), StopKind::Hold).unwrap();
         (master, in_mailbox)
     };
@@ -486,6 +494,7 @@ fn hold_is_confirmed_once_no_shutdown_to_all_can_arrive() {
     }
     // A restart lets a load fall, too.
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     master.broadcast(Reset, MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(0));
     master.stop(id(1), StopKind::Hold).unwrap();

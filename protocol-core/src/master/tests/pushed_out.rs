@@ -71,6 +71,7 @@ fn handed_back_stop_is_sent_again_before_set_points_of_others() {
 #[test]
 fn handed_back_set_point_gives_way_to_a_newer_one_and_to_a_stop() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let pushed_out = sent(&mut master, ms(0))[0];
     master.set_point(id(1), torque(2.0), ms(1)).unwrap();
@@ -513,6 +514,7 @@ fn handed_back_motion_command_is_not_taken_for_a_stop() {
 fn handed_back_stop_is_a_first_one_unless_its_motor_was_held_before() {
     for was_held_before in [false, true] {
         let mut master = Master::<4>::new(Config::CAN);
+        obeys(&mut master, 1);
         let stop = packet_to(1, Shutdown.encode());
         if was_held_before {
             // To hold; it is to be off now.
@@ -623,6 +625,7 @@ fn handed_back_release_of_a_brake_after_a_restart_is_sent_again() {
 #[test]
 fn set_point_handed_back_before_a_stop_is_sent_does_not_follow_it() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let set_point = sent(&mut master, ms(0));
     master.stop(id(1), StopKind::Hold).unwrap();

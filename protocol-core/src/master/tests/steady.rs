@@ -1,6 +1,7 @@
 //! Drives that were not spoken to for a while answer the first two commands and do not obey (2.31.1).
 
 use super::*;
+use crate::command::U12;
 use crate::id::Target;
 
 const STATUS_REPLY: Data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
@@ -125,6 +126,46 @@ fn hold_counts_when_it_was_answered_often_enough_after_a_silence() {
         master.stop(id(1), StopKind::Off).unwrap();
         let answers = answers_until(&mut master, Shutdown.encode(), now, is_confirmed);
         assert_eq!(answers, if expected == 4 { 2 } else { 1 }, "{number}");
+    }
+}
+
+/// Somebody else may have left it without a word for long.
+#[test]
+fn first_hold_of_a_motor_counts_after_three_answers() {
+    for (asked_before, expected) in [(0, 3), (1, 2), (2, 1), (3, 1)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        answers(&mut master, 1..1 + asked_before);
+        master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+        let from = 1 + asked_before;
+        assert_eq!(answers_until(&mut master, Stop.encode(), from, is_confirmed), expected);
+        // The same again once its place was given to another.
+        assert!(master.forget(id(1)));
+        master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+        assert_eq!(answers_until(&mut master, Stop.encode(), from + 10, is_confirmed), 3);
+    }
+}
+
+/// Each frame comes twice.
+#[test]
+fn doubled_answer_to_a_hold_that_is_sent_again_is_no_stray() {
+    let tells: [fn(&mut Master<2>); 2] = [
+        |master| master.stop(id(1), StopKind::Hold).unwrap(),
+        |master| _ = master.request_with(id(1), Stop, once(20)).unwrap(),
+    ];
+    for (tell, is_sent_soon) in tells.into_iter().flat_map(|tell| [(tell, true), (tell, false)]) {
+        let mut master = Master::<2>::new(Config::CAN);
+        tell(&mut master);
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        for at in [1, 2].map(ms) {
+            assert_eq!(reply(&mut master, 1, Stop.encode(), at), None);
+            let again = at + Duration::from_micros(100);
+            // Before it goes again, or after that.
+            if is_sent_soon {
+                assert_eq!(sent(&mut master, at), [packet_to(1, Stop.encode())]);
+            }
+            assert_eq!(reply(&mut master, 1, Stop.encode(), again), None);
+            assert_eq!(sent(&mut master, again).len(), usize::from(!is_sent_soon));
+        }
     }
 }
 
@@ -276,6 +317,43 @@ fn set_point_that_is_sent_back_behind_other_answers_is_no_feedback() {
     }
     comes_back(&mut master, motion(), ms(26));
     assert_eq!(master.latest_feedback(id(1)), None);
+}
+
+/// Each of its feedbacks looks as if a command was sent back: it names another motor, or ends otherwise than with 0.
+#[test]
+fn feedback_of_odd_drives_counts_after_three_answers() {
+    for odd in [[33, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0], [1, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 30]]
+    {
+        let mut master = Master::<2>::new(Config::CAN);
+        let packet = Packet { channel: Channel::MotionReply(id(1)), data: odd };
+        let mut feedbacks_of = |times: core::ops::Range<u64>| -> Vec<bool> {
+            let exchange = |now| {
+                master.set_point(id(1), motion(), ms(now)).unwrap();
+                assert_eq!(sent(&mut master, ms(now)).len(), 1);
+                let event = master.handle_frame(&Received::Packet(packet), half_past(now)).unwrap();
+                assert!(matches!(event, Event::Feedback { .. } | Event::SetPointUnanswered { .. }));
+                matches!(event, Event::Feedback { .. })
+            };
+            times.map(exchange).collect()
+        };
+        assert_eq!(feedbacks_of(0..5), [false, false, false, true, true]);
+        assert_eq!(feedbacks_of(300..305), [false, false, false, true, true]);
+    }
+}
+
+/// A torque of -24 N·m ends with 0, as feedback does, and a position near -12.5 rad begins with the motor's id.
+#[test]
+fn set_point_that_looks_half_like_feedback_is_none() {
+    for set_point in [
+        RawMotion { position: 0x0166, ..motion() },
+        RawMotion { kd: U12::new(0).unwrap(), torque: U12::new(0).unwrap(), ..motion() },
+    ] {
+        let mut master = Master::<2>::new(Config::CAN);
+        // An older one comes back, whose bytes are no longer known.
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(&mut master, ms(0));
+        comes_back(&mut master, set_point, ms(1));
+    }
 }
 
 /// Its program has hung. Nothing was lost, and nothing shows that it has let go.

@@ -54,6 +54,7 @@ fn every_motor_gets_its_first_stop_before_any_gets_its_second() {
 fn no_older_set_point_follows_a_command_that_ends_motion() {
     fn never<C: Command + Copy>(end: C) {
         let mut master = Master::<2>::new(Config::CAN);
+        obeys(&mut master, 1);
         master.set_point(id(1), torque(1.0), ms(0)).unwrap();
         let _offered = master.poll_transmit(ms(0));
         let ticket = master.request(id(1), end).unwrap();
@@ -75,6 +76,7 @@ fn no_older_set_point_follows_a_command_that_ends_motion() {
 #[test]
 fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let _ = ask(&mut master, 1, Stop, ms(0));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
@@ -205,6 +207,7 @@ fn no_set_point_is_sent_before_an_earlier_requested_shutdown() {
 #[test]
 fn cyclic_stop_of_all_is_confirmed_once_the_motor_answers() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     // It answers after 1.5 ms.
@@ -352,6 +355,7 @@ fn set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
 #[test]
 fn motor_switched_off_is_not_switched_on_by_a_later_hold() {
     let mut master = Master::<4>::new(Config::CAN);
+    obeys(&mut master, 1);
     let first_stops = |master: &mut Master<4>, now| -> Vec<(u8, u8)> {
         let stops = sent(master, now);
         let motors = stops.iter().filter_map(|packet| match packet.channel {
@@ -367,6 +371,7 @@ fn motor_switched_off_is_not_switched_on_by_a_later_hold() {
     };
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
+    obeys(&mut master, 2);
     // As a caller does that leaves a control loop.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81)], "the one that has got no stop yet");
@@ -380,6 +385,7 @@ fn motor_switched_off_is_not_switched_on_by_a_later_hold() {
 
     // Nor by one to all at once.
     let mut line = Master::<4>::new(Config::rs485(115_200, false));
+    obeys(&mut line, 1);
     line.stop(id(1), StopKind::Off).unwrap();
     line.stop_all(StopKind::Hold, id(2).into()).unwrap();
     let first = line.poll_transmit(ms(0)).unwrap();
@@ -389,6 +395,8 @@ fn motor_switched_off_is_not_switched_on_by_a_later_hold() {
 #[test]
 fn motor_switched_off_is_not_switched_on_by_a_requested_hold() {
     let mut master = Master::<4>::new(Config::CAN);
+    obeys(&mut master, 1);
+    obeys(&mut master, 2);
     let _read = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 2, ANGLE_REPLY, ms(1)).unwrap();
     master.stop(id(2), StopKind::Hold).unwrap();
@@ -634,9 +642,11 @@ fn motor_new_in_a_repeated_stop_is_stopped_before_the_others_again() {
     ];
     for again in ways {
         let mut master = Master::<2>::new(Config::CAN);
+        obeys(&mut master, 1);
         master.stop_all(StopKind::Hold, id(1).into()).unwrap();
         assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
         assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
+        obeys(&mut master, 2);
         again(&mut master);
         assert_eq!(sent(&mut master, ms(2)), [packet_to(2, Stop.encode())]);
         assert_eq!(reply(&mut master, 2, Stop.encode(), ms(3)), confirmed(2));
@@ -651,6 +661,7 @@ fn is_first(
     since: impl FnOnce(&mut Master<4>) -> (Packet, Data),
 ) -> bool {
     let mut master = Master::<4>::new(Config::CAN);
+    obeys(&mut master, 1);
     before(&mut master);
     assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Shutdown.encode())]);
     reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();

@@ -87,6 +87,7 @@ fn an_unanswered_set_point_does_not_hold_up_the_next() {
 #[test]
 fn motion_mode_feedback_comes_on_its_own_channel() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     let set_point = RawMotion::decode(&[0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55]);
     master.set_point(id(1), set_point, ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0))[0].channel, Channel::Motion(id(1)));

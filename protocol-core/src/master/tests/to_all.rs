@@ -484,9 +484,9 @@ fn motor_can_be_forgotten_while_a_read_to_all_waits() {
 fn duplicate_answer_to_a_broadcast_does_not_answer_the_next_request() {
     let master = &mut Master::<2>::new(Config::CAN);
     // It has a place.
-    master.stop(id(1), StopKind::Hold).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
     sent(master, ms(0));
-    assert_eq!(reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(1)), confirmed(1));
+    assert_eq!(reply(master, 1, Shutdown.encode(), ms(1)), confirmed(1));
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     sent(master, ms(10));
     let first = reply(master, 1, ANGLE_REPLY, ms(11));

@@ -11,6 +11,7 @@ fn goes_again<const N: usize>(master: &mut Master<N>, from: u64) -> Vec<Packet> 
 fn unconfirmed_stop_is_repeated_every_100_ms_until_it_is_confirmed() {
     for kind in [StopKind::Hold, StopKind::Off] {
         let mut master = Master::<2>::new(Config::CAN);
+        obeys(&mut master, 1);
         master.stop_all(kind, id(1).into()).unwrap();
         let mut now = is_given_up(&mut master, 1, 0);
         let (_, stop) = kind.command();
@@ -374,6 +375,8 @@ fn repeated_hold_does_not_undo_a_waiting_shutdown_to_all() {
 #[test]
 fn lifted_unconfirmed_stop_is_not_repeated_while_another_is_in_force() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
+    obeys(&mut master, 2);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
     master.stop(id(2), StopKind::Hold).unwrap();
@@ -676,6 +679,7 @@ fn answered_brake_lock_does_not_end_an_unconfirmed_stop() {
 #[test]
 fn request_is_refused_until_the_one_a_repeated_stop_ended_is_reported() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
     let from = is_given_up(&mut master, 1, 0);
     let read = ask(&mut master, 1, ReadStatus1, ms(from + 95));

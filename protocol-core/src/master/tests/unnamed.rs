@@ -7,6 +7,7 @@ pub(super) const TO_ALL: Channel = Channel::Command(Target::All);
 /// All were commanded to move. Motor 1 has a place; any others that have heard it have none.
 pub(super) fn all_move() -> Master<2> {
     let mut master = Master::new(Config::CAN);
+    obeys(&mut master, 1);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     reply(&mut master, 1, TORQUE_REPLY, ms(1));
@@ -255,6 +256,7 @@ fn cyclic_stop_of_all_is_confirmed_by_a_motor_deaf_to_broadcasts() {
 #[test]
 fn motor_deaf_to_broadcasts_confirms_once_no_move_can_arrive() {
     let mut master = all_have_moved();
+    obeys(&mut master, 2);
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(2), to(1)]);
     // As far as is known, the move of all may still be in a mailbox.
@@ -357,6 +359,7 @@ fn shutdown_is_confirmed_once_no_earlier_hold_can_arrive() {
 #[test]
 fn shutdown_after_a_confirmed_hold_is_confirmed_at_once() {
     let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
@@ -533,6 +536,7 @@ fn stop_of_more_motors_than_places_goes_to_all_though_one_is_in_force() {
 #[test]
 fn motor_found_during_a_stop_of_all_is_stopped_when_it_is_called_again() {
     let mut master = Master::<1>::new(Config::CAN);
+    obeys(&mut master, 1);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(0));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
@@ -631,6 +635,8 @@ fn stop_of_all_goes_to_all_again_once_all_were_moved_or_shut_down() {
 fn handed_back_hold_to_all_is_not_resent_once_a_motor_is_off() {
     fn goes_again(command: impl FnOnce(&mut Master<2>)) -> bool {
         let mut master = Master::<2>::new(Config::CAN);
+        obeys(&mut master, 1);
+        obeys(&mut master, 2);
         let more: MotorSet = [id(1), id(2), id(3)].into();
         assert!(master.stop_all(StopKind::Hold, more).is_err(), "there are two places");
         let hold = packet_to_all(Stop.encode());
