@@ -3,7 +3,7 @@
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::LONGEST_TURN;
+use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::master::{Event, Failure, Master, Patience, Ticket};
 use crate::opcode::Repeat;
 use crate::time::Instant;
@@ -96,10 +96,11 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         self.all.iter().filter_map(|it| it.ticket).for_each(|ticket| master.withdraw(ticket.id()));
     }
 
-    /// Until when one of them waits for its turn, if any does.
-    pub(super) fn latest_turn(&mut self) -> Option<Instant> {
-        let latest = self.latest_turn;
-        self.open().any(|it| it.ticket.is_none()).then_some(latest)
+    /// When to look again whether it is the turn of one that waits, if any does: there is no event when a motor's stop
+    /// that was sent once more has no answer.
+    pub(super) fn next_turn(&mut self, now: Instant) -> Option<Instant> {
+        let soon = self.latest_turn.min(now + LONGEST_IDLE);
+        self.open().any(|it| it.ticket.is_none()).then_some(soon)
     }
 
     /// Returns whether the event is the outcome of one of them.

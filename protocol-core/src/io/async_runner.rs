@@ -200,7 +200,7 @@ async fn ask_all<R: AsyncRunner<N> + ?Sized, C: Command, const M: usize, const N
         if !askings.put(runner.master(), now) {
             return askings.outcomes();
         }
-        match runner.run(askings.latest_turn()).await {
+        match runner.run(askings.next_turn(now)).await {
             Ok(Some(event)) if !askings.note(&event) => on_event(event),
             Ok(_) => {}
             Err(error) => askings.bus_has_failed(error),

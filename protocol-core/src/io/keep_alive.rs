@@ -106,11 +106,12 @@ impl KeepAlive {
     /// asks one at a time, and after 100 ms while anything but a stop waits for the line. So call this at least every
     /// five milliseconds or so.
     ///
-    /// If a motor may have let go that a stop in force is to hold, it is told again, and then there is another
+    /// If a motor may have let go that a stop in force is to hold, it is told again. Then there is another
     /// [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed). That is so when it is
     /// heard after a silence of more than 250 ms in which it was asked, or after a long pause in which nobody spoke to
-    /// it; when it has restarted; and when it says that it has lost its master. Without a stop in force nothing holds it
-    /// again.
+    /// it; when it has restarted; and when it says that it has lost its master. The same holds once that stop is lifted,
+    /// and for a hold (0x81) that was requested, until the motor is told to move or to let go, anything else is asked of
+    /// it, or it has restarted. A motor that holds because it has arrived somewhere is not told again.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
         if now < self.rests_until {
             return;

@@ -210,6 +210,10 @@ pub async fn wait_until_there<B: Calls<N>, const N: usize>(
             // A stop went to it instead.
             Err(CallError::Failed { failure, .. })
                 if is_stop(failure) && answered_at < deadline => {}
+            // It has not confirmed an earlier stop either.
+            Err(CallError::Failed { failure: Failure::StopUnconfirmed, .. }) => {
+                return Err(BringUpError::NotThere(motor));
+            }
             Err(error) => return Err(error.into()),
         }
         // On a bus that takes nothing the outcome comes at once.

@@ -226,16 +226,18 @@ impl<const N: usize> Master<N> {
         });
     }
 
-    /// Tells those of these motors to hold again that have confirmed it, under a stop in force, and may have let go
-    /// since. Whether they confirm it again is reported as of any stop.
+    /// Tells those of these motors to hold again that were last told to, have confirmed it, and may have let go since.
+    /// Whether they confirm it again is reported as of any stop. Without a stop in force, only those of which nobody
+    /// wants anything else.
     pub(crate) fn hold_again(&mut self, motors: MotorSet) {
         if self.is_end_of_all_waiting() {
             return;
         }
         let is_it = |&it: &MotorId| {
             let says_so = self.lost_master.contains(it);
-            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so);
-            motors.contains(it) && self.is_stopped(it) && self.motor(it).is_some_and(is_loose)
+            let is_to_hold = |motor: &Motor| self.is_stopped(it) || motor.is_left_alone();
+            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so) && is_to_hold(motor);
+            motors.contains(it) && self.motor(it).is_some_and(is_loose)
         };
         let loose: MotorSet = self.motors().iter().filter(is_it).collect();
         for motor in loose.iter() {

@@ -22,7 +22,7 @@ use crate::io::asking::outcome_of_set_point;
 use crate::io::bring_up::{
     self, BringUpError, MoveCommand, MoveFailure, MoveLimits, NotArrived, Protection,
 };
-use crate::io::runner::LONGEST_TURN;
+use crate::io::runner::{LONGEST_STOP, LONGEST_TURN};
 use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
     SerialMaster, async_bring_up,
@@ -298,11 +298,51 @@ fn a_search_that_a_stop_ends_returns_that_and_keeps_no_place_without_a_motor() {
             let mut arm = Pressed(arm, pressed_at);
             match bring_up::is_there(&mut arm, id(motor)) {
                 Ok(answer) => assert_eq!(answer, is_there, "{pressed_after}"),
-                Err(error) => assert!(is_stop(error), "{pressed_after}"),
+                // A stop of all has to reach it.
+                Err(error) => {
+                    assert!(is_stop(error), "{pressed_after}");
+                    assert_eq!(arm.master().motors().contains(id(motor)), is_there);
+                }
             }
             assert!(arm.master().motors().without(there).is_empty(), "{pressed_after}");
         }
     }
+}
+
+/// Its stop is sent again and again, and takes the place of the question.
+#[test]
+fn a_search_that_an_unconfirmed_stop_ends_says_nothing_about_the_motor() {
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 8>::new);
+    assert!(!arm.stop(id(9), StopKind::Hold));
+    let answers = [(); 50].map(|()| bring_up::is_there(&mut arm, id(9)));
+    let failed = Err(CallError::Failed { motor: id(9), failure: Failure::StopUnconfirmed });
+    assert!(answers.contains(&failed), "{answers:?}");
+    assert!(answers.iter().all(|answer| *answer == Ok(false) || *answer == failed), "{answers:?}");
+}
+
+/// It was stopped, and its drive is dead.
+#[test]
+fn the_wait_for_a_motor_ends_in_time_though_its_stop_is_sent_again() {
+    for millis in (100..600).step_by(10) {
+        let (_, _, mut arm) = on_can(CanMaster::<_, _, 8>::new);
+        assert!(!arm.stop(id(9), StopKind::Hold));
+        let (begun, limit) = (arm.now(), Duration::from_millis(millis));
+        let gone = bring_up::wait_until_there(&mut arm, id(9), limit);
+        assert_eq!(gone, Err(BringUpError::NotThere(id(9))), "{millis}");
+        let took = arm.now() - begun;
+        assert!(took >= limit && took < limit + Duration::from_millis(150), "{took:?}");
+    }
+}
+
+#[test]
+fn a_search_on_a_bus_that_takes_nothing_ends_although_a_stop_waits() {
+    let (bus, _, arm) = on_can(CanMaster::<_, _, 8>::new);
+    bus.state().full_until = u64::MAX;
+    let begun = arm.now();
+    let mut arm = Pressed(arm, Some(begun + Duration::from_millis(10)));
+    assert!(bring_up::is_there(&mut arm, id(1)).is_err());
+    let took = arm.now() - begun;
+    assert!(took <= LONGEST_TURN + LONGEST_STOP, "{took:?}");
 }
 
 /// It is called under a stop, and goes on under another.
@@ -315,6 +355,39 @@ fn a_stop_does_not_end_the_wait_for_a_motor() {
         let limit = Duration::from_millis(500);
         assert_eq!(bring_up::wait_until_there(&mut arm, id(1), limit), Ok(()), "{pressed_after}");
     }
+}
+
+/// Somebody leans on it, so that each question gives way to a stop.
+#[test]
+fn the_wait_for_a_motor_ends_in_time_though_it_is_stopped_again_and_again() {
+    struct LeansOn<R>(R);
+    impl<R: Runner<8>> Runner<8> for LeansOn<R> {
+        type Error = R::Error;
+
+        fn master(&mut self) -> &mut Master<8> {
+            self.0.master()
+        }
+
+        fn now(&self) -> Instant {
+            self.0.now()
+        }
+
+        fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+            self.0.master().stop(id(9), StopKind::Off).unwrap();
+            self.0.poll()
+        }
+
+        fn idle(&mut self, until: Instant) {
+            self.0.idle(until);
+        }
+    }
+    let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
+    let mut arm = LeansOn(arm);
+    let (begun, limit) = (arm.now(), Duration::from_millis(300));
+    let gone = bring_up::wait_until_there(&mut arm, id(9), limit);
+    assert!(gone.is_err(), "{gone:?}");
+    let took = arm.now() - begun;
+    assert!(took >= limit && took < limit + LONGEST_TURN, "{took:?}");
 }
 
 /// So a stop of all and a guard reach them, if they turn because somebody else moved them.

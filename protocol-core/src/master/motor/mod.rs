@@ -381,7 +381,7 @@ impl Motor {
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
         self.stream.was_sent();
-        self.stop_sent = StopSent::None;
+        (self.stop_sent, self.last_stop) = (StopSent::None, LastStop::None);
     }
 
     /// When what is in flight has had its time. A caller's own time-out does not make this longer than that of a stop.
@@ -462,8 +462,14 @@ impl Motor {
         if kind.is_refused_while_stopped() {
             self.stop_sent = StopSent::None;
         }
+        if kind.may_move() {
+            self.last_stop = LastStop::None;
+        }
         match kind.opcode() {
-            Some(Opcode::Reset) => self.begin_anew(config, now),
+            Some(Opcode::Reset) => {
+                self.begin_anew(config, now);
+                self.last_stop = LastStop::None;
+            }
             Some(Opcode::ActiveReply) => self.note_reports(data),
             _ => self.note_told(kind),
         }

@@ -103,6 +103,11 @@ impl Motor {
         matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
     }
 
+    /// Whether nobody wants anything of it, and the caller knows if it has restarted.
+    pub(crate) fn is_left_alone(&self) -> bool {
+        self.request.is_none() && self.stream.is_none() && !self.has_restarted
+    }
+
     /// Whether this may be a motion command, and not feedback. After a silence a drive may send back the first command,
     /// perhaps behind its answers to others. Feedback names its motor and ends with two bytes of 0 (5.3); of the commands
     /// only those with the most negative torque end so. Some drives name another motor.

@@ -41,7 +41,7 @@ pub(crate) enum StopSent {
     Earlier,
 }
 
-/// What became of a motor's last stop.
+/// What became of a motor's last stop, if it was told nothing since that moves it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) enum LastStop {
     /// There was none, it is under way, or the motor was told something else since.

@@ -177,24 +177,26 @@ fn motor_is_told_again_to_hold_when_it_is_heard_after_a_silence() {
         assert_eq!(sent(master, ms(12)), [packet_to(1, command)]);
         reply(master, 1, command, half_past(12)).unwrap();
     };
-    let ends: [(StopKind, End, bool); 5] = [
-        (StopKind::Hold, |_| None, true),
+    // And up to which silence it is told again.
+    let ends: [(StopKind, End, u64); 5] = [
+        (StopKind::Hold, |_| None, u64::MAX),
+        // Nobody has asked it for anything since. A restart is reported, and the caller has to know.
         (
             StopKind::Hold,
             |master| {
                 master.lift_stop();
                 None
             },
-            false,
+            1_000,
         ),
-        (StopKind::Off, |_| None, false),
+        (StopKind::Off, |_| None, 0),
         (
             StopKind::Hold,
             |master| {
                 let _ = master.request(id(1), Shutdown).unwrap();
                 Some(Shutdown.encode())
             },
-            false,
+            0,
         ),
         (
             StopKind::Hold,
@@ -202,19 +204,19 @@ fn motor_is_told_again_to_hold_when_it_is_heard_after_a_silence() {
                 let _ = master.request(id(1), LockBrake).unwrap();
                 Some(LockBrake.encode())
             },
-            true,
+            u64::MAX,
         ),
     ];
     // The last answer came at 10.5 or 12.5 ms. Behind the last of these it may have restarted.
-    let silences: [(Story, bool); 5] = [
-        (|_| 400, false),
-        (|master| unanswered(master, 20, 240), false),
-        (|master| unanswered(master, 20, 250), true),
-        (|master| unanswered(master, 20, 900), true),
-        (|master| unanswered(master, 20, 1_100), true),
+    let silences: [(Story, u64); 5] = [
+        (|_| 400, 0),
+        (|master| unanswered(master, 20, 240), 250),
+        (|master| unanswered(master, 20, 250), 260),
+        (|master| unanswered(master, 20, 900), 910),
+        (|master| unanswered(master, 20, 1_100), 1_110),
     ];
-    for (number, (kind, end, goes_again)) in ends.into_iter().enumerate() {
-        for (silence, is_one) in silences {
+    for (number, (kind, end, longest)) in ends.into_iter().enumerate() {
+        for (silence, millis) in silences {
             let mut master = Master::<2>::new(Config::CAN);
             answers(&mut master, 1..5);
             master.stop(id(1), kind).unwrap();
@@ -230,7 +232,7 @@ fn motor_is_told_again_to_hold_when_it_is_heard_after_a_silence() {
             master.hold_again(id(2).into());
             assert_eq!(sent(&mut master, ms(now + 1)), [], "another is meant");
             master.hold_again(MotorSet::ALL);
-            if goes_again && is_one {
+            if millis > 250 && millis < longest {
                 let answers = answers_until(&mut master, stop, now + 1, is_confirmed);
                 assert_eq!(answers, 2, "{number}");
                 master.hold_again(MotorSet::ALL);
@@ -462,6 +464,105 @@ fn motor_that_was_told_to_hold_in_vain_is_told_again() {
         master.hold_again(MotorSet::ALL);
         assert_eq!(sent(&mut master, ms(402)), [packet_to(1, Stop.encode())]);
     }
+}
+
+/// It holds, and may have let go: it was silent. Returns the time.
+fn loose() -> (Master<2>, u64) {
+    let mut master = held();
+    let now = unanswered(&mut master, 20, 260);
+    answers(&mut master, [now]);
+    (master, now + 1)
+}
+
+/// Nobody has heard whether it was switched off.
+#[test]
+fn motor_that_was_told_to_let_go_is_not_told_again_to_hold() {
+    let (mut master, now) = loose();
+    let _ = master.request_with(id(1), Shutdown, once(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(events(&mut master, ms(now + 10)).len(), 1, "it has failed");
+    answers(&mut master, now + 11..now + 14);
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(now + 15)), []);
+}
+
+/// The stop is lifted, and its caller wants something else, or has asked it for something since.
+#[test]
+fn motor_is_not_held_again_against_its_caller() {
+    let stories: [fn(&mut Master<2>, u64); 5] = [
+        |master, now| master.set_point(id(1), torque(1.0), ms(now)).unwrap(),
+        |master, _| _ = master.request(id(1), step()).unwrap(),
+        |master, now| {
+            master.set_point(id(1), torque(1.0), ms(now)).unwrap();
+            sent(master, ms(now));
+            reply(master, 1, TORQUE_REPLY, half_past(now)).unwrap();
+        },
+        |master, now| {
+            let _ = ask(master, 1, ReleaseBrake, ms(now));
+            reply(master, 1, ReleaseBrake.encode(), half_past(now)).unwrap();
+        },
+        |master, now| {
+            let _ = ask(master, 1, Reset, ms(now));
+            events(master, ms(now + 3_000));
+            master.resume(id(1));
+        },
+    ];
+    for (number, story) in stories.into_iter().enumerate() {
+        let (mut master, now) = loose();
+        master.lift_stop();
+        story(&mut master, now);
+        master.hold_again(MotorSet::ALL);
+        let stop = packet_to(1, Stop.encode());
+        assert!(!sent(&mut master, ms(now + 4_000)).contains(&stop), "{number}");
+    }
+}
+
+/// Nobody has called for it, and a caller that has counted them may go on.
+#[test]
+fn hold_that_goes_again_is_no_call_for_a_stop() {
+    let (mut master, _) = loose();
+    let known = master.stop_count();
+    master.hold_again(MotorSet::ALL);
+    assert!(master.lift_stop_if(known));
+}
+
+#[test]
+fn hold_that_goes_again_and_is_not_confirmed_is_reported() {
+    let (mut master, now) = loose();
+    master.hold_again(MotorSet::ALL);
+    let _given_up = is_given_up(&mut master, 1, now);
+}
+
+/// On a line it would collide with that.
+#[test]
+fn hold_that_goes_again_leaves_time_for_the_answer_under_way() {
+    let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    obeys(&mut master, 1);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let says = |master: &mut Master<2>, motor, data, at| {
+        master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, ms(at))
+    };
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
+    assert_eq!(says(&mut master, 1, Stop.encode(), 2), confirmed(1));
+    // It is not spoken to for long, and then is.
+    let _ = ask(&mut master, 1, ReadModel, ms(600));
+    says(&mut master, 1, *b"\xB5X8S2V10", 602).unwrap();
+    let _ = ask(&mut master, 1, ReadModel, ms(610));
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(614)), [], "the answer may come yet");
+    assert_eq!(sent(&mut master, ms(615)), [packet_to(1, Stop.encode())]);
+}
+
+/// Its program has hung, and goes on with its stream.
+#[test]
+fn set_points_behind_a_pause_count_as_commands_that_may_not_be_obeyed() {
+    let mut master = Master::<2>::new(Config::CAN);
+    answers(&mut master, 1..5);
+    master.set_point(id(1), torque(1.0), ms(500)).unwrap();
+    assert_eq!(sent(&mut master, ms(500)).len(), 1);
+    reply(&mut master, 1, TORQUE_REPLY, ms(501)).unwrap();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(answers_until(&mut master, Stop.encode(), 502, is_confirmed), 2);
 }
 
 #[test]
