@@ -644,3 +644,16 @@ fn motors_on_a_slow_line_hold_while_two_with_one_id_answer_at_once() {
     assert_eq!(bring_up::is_shared(&mut runner, id(1)), Ok::<_, CallError<_>>(true));
     assert_eq!(lost_their_master(&bus.drives[2..]), []);
 }
+
+/// Each motor has to confirm three times, and the adapter hands over once in 16 ms.
+#[test]
+fn first_stop_of_a_long_line_behind_a_slow_adapter_is_confirmed_by_all() {
+    for motors in [16, 20, 32] {
+        let bus = Fleet::new(motors).on_rs485(115_200).unwrap();
+        let config = Config::rs485(115_200, false).adapting_up_to(millis(40));
+        let (mut runner, station) = Rs485Line::runner::<32>(&bus.world, config);
+        bus.world.hand_over_every(station, millis(16));
+        let all: MotorSet = (1..=motors).map(id).collect();
+        assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY, "{motors}");
+    }
+}

@@ -7,7 +7,9 @@ use std::time;
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner};
+use myactuator_protocol_core::io::{
+    Elapsed, KeepAlive, LONGEST_STOP, LONGEST_TURN, Runner, longest_stop,
+};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
@@ -135,6 +137,7 @@ struct Stopping<E> {
     unconfirmed: MotorSet,
     /// Those of them that still may.
     running: MotorSet,
+    begun: Instant,
     elapsed: Elapsed,
     answer: Answer<MotorSet, E>,
 }
@@ -247,7 +250,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         // The stop to all at once may be the only one for motors that were not named.
         let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
         self.stopping.retain_mut(|stop| {
-            let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
+            let is_late = stop.elapsed.at(now)
+                >= longest_stop(self.runner.master(), stop.running, stop.begun);
             let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
                 for motor in stop.running.iter() {
@@ -351,8 +355,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         answer: Answer<MotorSet, R::Error>,
     ) {
         let unconfirmed = running.with(also);
-        let elapsed = Elapsed::default();
-        self.stopping.push(Stopping { of_all, unconfirmed, running, elapsed, answer });
+        let (begun, elapsed) = (self.runner.now(), Elapsed::default());
+        self.stopping.push(Stopping { of_all, unconfirmed, running, begun, elapsed, answer });
     }
 }
 

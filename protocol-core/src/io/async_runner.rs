@@ -11,7 +11,7 @@ use crate::io::elapsed::Elapsed;
 use crate::io::keep_alive::KeptAlive;
 use crate::io::on_drop::OnDrop;
 use crate::io::pump::RETRY_AFTER;
-use crate::io::runner::LONGEST_STOP;
+use crate::io::runner::longest_stop;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -161,26 +161,31 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
     motors: MotorSet,
 ) -> MotorSet {
-    let mut elapsed = Elapsed::default();
-    let mut unconfirmed = motors;
-    let mut given_up = motors.without(runner.master().motors());
+    let (mut elapsed, begun) = (Elapsed::default(), runner.now());
+    let mut confirmed = MotorSet::EMPTY;
     let waiting = KeptAlive::of_stop(runner).during(async |bus| {
-        while elapsed.at(bus.now()) < LONGEST_STOP {
-            let look_again = match unconfirmed.without(given_up).is_empty() {
+        // Those whose stop was given up, and goes once more from time to time.
+        let mut given_up = motors.without(bus.master().motors());
+        loop {
+            let now = bus.now();
+            let master = bus.master();
+            confirmed = confirmed.with(master.stops_confirmed());
+            given_up = given_up.with(master.stops_given_up());
+            let waiting = motors.without(confirmed).without(given_up);
+            let look_again = match waiting.is_empty() {
                 false => Elapsed::LOOK_AGAIN,
-                true if bus.master().is_stop_to_all_waiting() => RETRY_AFTER,
+                true if master.is_stop_to_all_waiting() => RETRY_AFTER,
                 true => break,
             };
-            let until = bus.now() + look_again;
-            match bus.run(Some(until)).await {
-                Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
-                Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
-                _ => {}
+            if elapsed.at(now) >= longest_stop(master, waiting, begun) {
+                break;
             }
+            // An event may be the answer to a question, and an error of the bus may go.
+            let _ = bus.run(Some(now + look_again)).await;
         }
     });
     waiting.await;
-    unconfirmed
+    motors.without(confirmed).without(runner.master().stops_confirmed())
 }
 
 /// Asks, and waits for the outcome of each question. If this future is dropped, the questions are withdrawn.

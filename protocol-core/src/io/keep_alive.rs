@@ -31,7 +31,7 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 /// until [`is_waiting`](Self::is_waiting) is false.
 ///
 /// ```
-/// use myactuator_protocol_core::io::{KeepAlive, LONGEST_STOP, Runner};
+/// use myactuator_protocol_core::io::{KeepAlive, Runner, longest_stop};
 /// use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 /// use myactuator_protocol_core::time::Duration;
 ///
@@ -42,8 +42,11 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 ///     let (mut stopping, mut unconfirmed) = (bus.master().motors(), MotorSet::EMPTY);
 ///     let begun = bus.now();
 ///     let mut keep_alive = KeepAlive::of_stop(begun);
-///     while !stopping.is_empty() && bus.now() - begun < LONGEST_STOP {
+///     while !stopping.is_empty() {
 ///         let now = bus.now();
+///         if now - begun >= longest_stop(bus.master(), stopping, begun) {
+///             break;
+///         }
 ///         keep_alive.ask(MotorSet::ALL, bus.master(), now);
 ///         match bus.poll()? {
 ///             Some(event) if keep_alive.takes(&event, now) => {}

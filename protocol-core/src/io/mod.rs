@@ -99,6 +99,6 @@ pub use guard::{Guard, Guards, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
 pub use keep_alive::KeepAlive;
 pub use polled::Polled;
-pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
+pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner, longest_stop};
 pub use serial::SerialMaster;
 pub use watch::{LoopError, Trouble, Watch};

@@ -12,9 +12,20 @@ use crate::io::polled::Polled;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
-/// How long a stop of all motors is tried at most, measured by [`Elapsed`](crate::io::Elapsed): a program that was
-/// suspended meanwhile goes on with the stop.
+/// How long a stop of all motors is tried if none of them answers, measured by [`Elapsed`](crate::io::Elapsed): a
+/// program that was suspended meanwhile goes on with the stop.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
+
+/// How long a stop that has `begun` then is tried for these motors, which have not confirmed it yet: three times
+/// [`LONGEST_STOP`] if any of them was heard since. On a slow line of many motors their confirmations take that long.
+pub fn longest_stop<const N: usize>(
+    master: &Master<N>,
+    motors: MotorSet,
+    begun: Instant,
+) -> Duration {
+    let mut seen = motors.iter().filter_map(|motor| master.health(motor).last_seen);
+    if seen.any(|at| at >= begun) { LONGEST_STOP.times(3) } else { LONGEST_STOP }
+}
 
 /// How long a question waits for its turn at most. An earlier request ends sooner, except a stop that waits for a bus
 /// that is down.

@@ -7,7 +7,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::Motor;
-use crate::master::motor::stopping::StopSent;
+use crate::master::motor::stopping::{LastStop, StopSent};
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -244,6 +244,21 @@ impl<const N: usize> Master<N> {
             self.let_line_answer();
             self.put_stop(motor, StopKind::Hold, Purpose::Stop);
         }
+    }
+
+    /// The motors that have confirmed their last stop, and for which it still counts.
+    pub(crate) fn stops_confirmed(&self) -> MotorSet {
+        self.motors_whose(|stop| matches!(stop, LastStop::Confirmed(_)))
+    }
+
+    /// The motors that have not confirmed it, and get it once more from time to time at best.
+    pub(crate) fn stops_given_up(&self) -> MotorSet {
+        self.motors_whose(|stop| matches!(stop, LastStop::Unconfirmed { .. }))
+    }
+
+    fn motors_whose(&self, is_it: impl Fn(LastStop) -> bool) -> MotorSet {
+        let all = self.at(self.places.taken).filter(|(_, motor)| is_it(motor.last_stop));
+        all.filter_map(|(_, motor)| motor.id).collect()
     }
 
     /// Sends a stop in force once more, when it is time, to each motor that has not confirmed it: otherwise the motor
