@@ -240,18 +240,34 @@ fn protected<W: Wire>(fleet: &Fleet) -> (BusFleet<W>, W::Runner<8>, MotorSet) {
     (bus, runner, all)
 }
 
+/// When the stop was called that is to hold motors after an outage.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Called {
+    /// After the outage.
+    After,
+    /// Before it, and it is in force.
+    Before,
+    /// Before it, and it was lifted.
+    BeforeAndLifted,
+}
+
 /// They have no brakes. In the outage their protection cuts their outputs, and their first answers after it do not say
-/// that. Before their stop, or while it is in force.
+/// that.
 fn motors_hold_after_an_outage<W: Wire>() {
-    // Behind a second of silence they may have restarted.
-    let outages = [400, 900, 1_500];
-    let cases = outages.into_iter().flat_map(|outage| {
-        [(outage, false, false), (outage, false, true), (outage, true, false), (outage, true, true)]
-    });
-    for (outage, lost_master_heartbeat, is_stopped) in cases {
+    use Called::{After, Before, BeforeAndLifted};
+    // Behind a second of silence they may have restarted. Then they are to be resumed once the stop is lifted.
+    let shorter =
+        [400, 900].map(|outage| [(outage, After), (outage, Before), (outage, BeforeAndLifted)]);
+    let cases = shorter.into_iter().flatten().chain([(1_500, After), (1_500, Before)]);
+    let cases =
+        cases.flat_map(|(outage, called)| [(outage, called, false), (outage, called, true)]);
+    for (outage, called, lost_master_heartbeat) in cases {
         let quirks = Quirks { lost_master_heartbeat, ..Quirks::default() };
         let (bus, mut runner, all) = protected::<W>(&Fleet::new(4).quirks(quirks));
         assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY);
+        if called == BeforeAndLifted {
+            runner.master().lift_stop();
+        }
         for drive in &bus.drives {
             let pulls = Load { torque_nm: 3.0, ..Load::NONE };
             drive.with(|drive| drive.plant_mut().set_load(pulls).unwrap());
@@ -265,7 +281,11 @@ fn motors_hold_after_an_outage<W: Wire>() {
                 bus.drives.iter().for_each(|drive| bus.world.mend(drive.station()));
             }
             let now = runner.now();
-            keep_alive.ask(if is_stopped { all } else { MotorSet::EMPTY }, runner.master(), now);
+            keep_alive.ask(
+                if called == After { MotorSet::EMPTY } else { all },
+                runner.master(),
+                now,
+            );
             let _ = runner.run_until(now + millis(1), |event| {
                 keep_alive.takes(&event, now);
                 if let Event::StopConfirmed { motor } = event {
@@ -274,7 +294,7 @@ fn motors_hold_after_an_outage<W: Wire>() {
             });
         }
         assert_eq!(lost_their_master(&bus.drives).len(), 4, "and so their hold");
-        if !is_stopped {
+        if called == After {
             assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
             held_again = all;
         }

@@ -12,7 +12,7 @@ use crate::open::BusError;
 /// unwinds, or at its end. It is to threads what [`io::Guard`](myactuator_protocol_core::io::Guard) is to a loop, and
 /// is used like the handle itself. A plain handle does not stop them: while any other thread has one, the motors go on.
 ///
-/// It waits for the motors for up to [a second](myactuator_protocol_core::io::LONGEST_STOP). Meanwhile the bus asks
+/// It waits for the motors as long as [a stop](myactuator_protocol_core::io::longest_stop) is tried. Meanwhile the bus asks
 /// those that have confirmed, so that their protection (0xB3) does not let them go. With a guard for each of two buses
 /// in one thread, the second bus is stopped only after that if the first is cut. [`Guards`] stop several buses at the
 /// same time.

@@ -272,10 +272,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Stops all motors that were spoken to and those of `also`, before anything else is sent. Waits until each has
-    /// confirmed it or is known not to, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP). Returns those
-    /// that have not confirmed it: **cut their power**. If the driver of the bus keeps its thread for 2 s, these are
-    /// all ids. Whatever waits that may move a motor is dropped, whichever thread it is from, and everything of that
-    /// kind is refused until [`lift_stop`](Self::lift_stop).
+    /// confirmed it or is known not to, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP), or
+    /// [three](myactuator_protocol_core::io::longest_stop) if they answer on a slow line. Returns those that have not
+    /// confirmed it: **cut their power**. If the driver of the bus keeps its thread for 2 s, these are all ids. A motor
+    /// that a stop in force has [switched off](Self::switched_off) stays off, also if this one is to hold it, and
+    /// confirms that: it holds nothing. Whatever waits that may move a motor is dropped, whichever thread it is from,
+    /// and everything of that kind is refused until [`lift_stop`](Self::lift_stop).
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`]: the thread of the bus has ended and cannot stop them. **Cut their power.**
@@ -365,6 +367,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Whether a motor is stopped, individually or with all, and that stop was not lifted. Does not wait.
     pub fn is_stopped(&self, motor: MotorId) -> bool {
         self.desk().lock().is_stopped(motor, None)
+    }
+
+    /// The motors that a stop in force has switched off: no other stop switches them on. After a stop of all, every id.
+    /// Does not wait.
+    pub fn switched_off(&self) -> MotorSet {
+        self.desk().lock().switched_off
     }
 
     /// How many stops were called for so far, of one motor or of all, by whatever thread. Does not wait.

@@ -74,7 +74,7 @@ pub(super) struct State<E> {
     /// How many stops were called for.
     pub(super) stops: u64,
     /// These were switched off by a stop that is in force: a command that holds does not switch them on.
-    switched_off: MotorSet,
+    pub(super) switched_off: MotorSet,
     /// These were reported to have restarted, and were not resumed.
     restarted: MotorSet,
     /// These are being moved, each by one call.

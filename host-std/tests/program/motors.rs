@@ -286,7 +286,7 @@ fn send_notes_what_has_to_follow() {
 fn the_brake_is_released_and_locked() {
     assert_eq!(
         done("brake release --id 1"),
-        ["motor 1: brake released: a load can turn its shaft now"]
+        ["motor 1: brake released: a load can turn its shaft now, unless the motor holds it"]
     );
     assert_eq!(done("brake lock --id 1 --bus sim:1,rs485"), ["motor 1: brake locked"]);
 }

@@ -184,8 +184,8 @@ const fn scaled(
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RawMotionFeedback {
     /// The id by which the drive calls itself: 0 to 32 by 5.4, but any value may come. Only the identifier says who
-    /// answers. If this byte names another motor, the [master](crate::master) does not believe the first feedbacks after
-    /// a silence: the drive may have sent a command back.
+    /// answers. If this byte names another motor, the [master](crate::master) believes no feedback before the motor has
+    /// answered three commands without a pause of more than 150 ms: the drive may have sent a command back.
     pub id_byte: u8,
     /// Measured position.
     pub position: u16,

@@ -16,8 +16,8 @@
 //! # While a function here waits
 //! Some take seconds. To look at a button meanwhile, or to feed a watchdog, give them a loop of your own around that of
 //! the bus. A stop that it calls for is sent before anything else. It ends the function, unless that only waits
-//! ([`wait_until_there`], [`wait_until_stands`]). Before you lift a stop, look whether there was another:
-//! [`lift_stop_if`](crate::master::Master::lift_stop_if).
+//! ([`wait_until_there`], [`wait_until_stands`], and a [brake](release_brake) that opens behind a motor that is to hold).
+//! Before you lift a stop, look whether there was another: [`lift_stop_if`](crate::master::Master::lift_stop_if).
 //!
 //! ```
 //! use myactuator_protocol_core::io::Runner;
@@ -242,7 +242,7 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// If the motor does not answer that its brake is to open or that it is to hold, or if the bus fails or somebody else
 /// stops the motor then, the brake may be open all the same. The motor is then [stopped](crate::master::Master::stop)
 /// before this returns, until that is lifted. In any other case no stop of this function is in force. If a stop
-/// switches the motor off while its brake opens, the brake is told to lock at once.
+/// switches the motor off while its brake opens, the brake is told to lock as soon as that is noticed.
 ///
 /// The motor is told to hold when an answer is late, so let
 /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) be no longer than a load may fall.
@@ -283,7 +283,8 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// motor is off: [check again](check_brake) then.
 ///
 /// A motor that turns is refused while it runs something and can be stopped. If it runs nothing, or reports an error,
-/// its brake is told to lock, to catch what falls.
+/// its brake is told to lock, to catch what falls. A motor that gives no answers is told nothing, as nothing is known of
+/// it: ask it for [`LockBrake`](crate::command::LockBrake) to have it told all the same.
 ///
 /// # Errors
 /// [`BringUpError::Turns`], [`BringUpError::BrakeNotLocked`], [`BringUpError::BrakeSlips`], [`BringUpError::Call`].

@@ -38,7 +38,7 @@ use crate::time::Instant;
 /// The motors are [those that have a place](crate::master::Master::motors): each that was asked, moved or
 /// [found](crate::io::bring_up::scan), or that a [broadcast](crate::master::Master::broadcast) was expected to move.
 ///
-/// The guard waits for them for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP). With one guard for each of two buses
+/// The guard waits for them as long as [a stop](crate::io::longest_stop) is tried. With one guard for each of two buses
 /// in one thread, the second bus is stopped only after that if the first is cut; [`Guards`] stop several at the same
 /// time.
 ///

@@ -166,9 +166,9 @@ pub trait Runner<const N: usize> {
     /// Stops one motor, waits until it has confirmed or has failed to, and returns whether it has. If not, **cut its
     /// power**. See [`Master::stop`].
     ///
-    /// - This may take up to a second, as [`stop_all`](Self::stop_all) may, in which the others get no set-points. In a
-    ///   control loop call [`Master::stop`], take the event, and leave the motor out of the stream and the
-    ///   [`Watch`](crate::io::Watch).
+    /// - This may take [up to a second or three](longest_stop), as [`stop_all`](Self::stop_all) may, in which the
+    ///   others get no set-points. In a control loop call [`Master::stop`], take the event, and leave the motor out of
+    ///   the stream and the [`Watch`](crate::io::Watch).
     /// - Until [`Master::lift_stop_of`] whatever may move the motor is refused.
     /// - An error of the bus does not end the stop, as with [`stop_all`](Self::stop_all).
     /// - A motor that was switched off by a stop that is still in force stays off. It confirms [`StopKind::Hold`], too.
@@ -182,8 +182,8 @@ pub trait Runner<const N: usize> {
     ///
     /// - A motor that this master has never spoken to has no place, and is not among those returned: name it in `also`.
     ///   If the master has spoken to no motor and `also` is empty, so is the result.
-    /// - An error of the bus does not end the stop. It is tried for up to [`LONGEST_STOP`], in the hope that the bus
-    ///   comes back.
+    /// - An error of the bus does not end the stop. It is tried for [up to a second or three](longest_stop), in the
+    ///   hope that the bus comes back.
     /// - On RS485 it goes after the exchange under way, but waits for that no longer than 50 ms.
     /// - It takes some 15 reply time-outs if a motor does not confirm. Meanwhile the others are asked, so that their
     ///   communication-loss protection (0xB3) lets none go. On RS485 each of these turns comes after a time-out of the

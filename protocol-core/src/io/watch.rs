@@ -6,7 +6,7 @@ use crate::command::{
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::kind::Kind;
-use crate::master::{Event, Master, MotorSet};
+use crate::master::{Event, Master, MotorSet, Presence};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
@@ -34,9 +34,10 @@ pub enum Trouble {
         /// What its drive reports.
         errors: ErrorFlags,
     },
-    /// The drive has [restarted](Event::Restarted): its turns may be lost.
+    /// The drive has [restarted](Event::Restarted), or may have: its turns may be lost.
     #[error(
-        "motor {0} has restarted, and its turns may be lost: stop it, read its angle, then lift the stop and resume"
+        "motor {0} has restarted, or was silent for as long as that takes, and its turns may be lost: stop it, read its \
+         angle, then lift the stop and resume"
     )]
     Restarted(MotorId),
     /// The drive has [lost its master](Event::LostMaster): it has cut its output, and locked its brake if it has one.
@@ -224,7 +225,10 @@ impl Watch {
         }
         for motor in self.motors.iter() {
             if master.has_restarted(motor) {
-                return Err(Trouble::Restarted(motor));
+                // It may have lost its cable, and not its supply.
+                let is_heard = master.health(motor).presence != Presence::Silent;
+                let trouble = if is_heard { Trouble::Restarted } else { Trouble::Silent };
+                return Err(trouble(motor));
             }
             // It was told before this watch, or to a call that waited.
             if master.has_lost_master(motor) {

@@ -70,6 +70,11 @@ impl Record {
         self.was_heard.then_some(self.heard_at)
     }
 
+    /// When it was last heard, or the beginning of time.
+    pub(super) fn heard_at(&self) -> Instant {
+        self.heard_at
+    }
+
     pub(super) fn round_trip(&self) -> Duration {
         Duration::from_micros(self.round_trip_us.into())
     }

@@ -78,8 +78,7 @@
 //! ## A drive has lost its master, and its message was not heard
 //! Such a drive sends the first command back and ignores it. If its message (0xF1) was not heard, the returned command
 //! may be taken for an acknowledgement, or for values that are all 0. A read is asked again if the reply that equals it
-//! is the first of its motor, or the first after a pause of more than 150 ms; not where an echo is configured. If the
-//! drive had lost its master before this one has heard it for the first time, it confirms a hold and does not obey.
+//! is the first of its motor, or the first after a pause of more than 150 ms; not where an echo is configured.
 //!
 //! ## An RS485 echo passes for a reply
 //! An echo can confirm a stop, pass for values that are all 0, or make it seem that the drive has ignored a move:

@@ -235,7 +235,10 @@ impl<const N: usize> Master<N> {
         }
         let is_it = |&it: &MotorId| {
             let says_so = self.lost_master.contains(it);
-            let is_to_hold = |motor: &Motor| self.is_stopped(it) || motor.is_left_alone();
+            let is_to_hold = |motor: &Motor| match self.is_stopped(it) {
+                true => !motor.is_about_to_be_let_go(),
+                false => motor.is_left_alone(),
+            };
             let is_loose = |motor: &Motor| motor.may_have_let_go(says_so) && is_to_hold(motor);
             motors.contains(it) && self.motor(it).is_some_and(is_loose)
         };

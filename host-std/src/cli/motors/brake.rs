@@ -55,7 +55,9 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 &format!("Motor {motor}'s brake will let the shaft go: a load can turn it then."),
             )?;
             if session.let_go(motor)? {
-                say(&format!("motor {motor}: brake released: a load can turn its shaft now"))
+                say(&format!(
+                    "motor {motor}: brake released: a load can turn its shaft now, unless the motor holds it"
+                ))
             } else {
                 say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
             }

@@ -6,7 +6,7 @@ use super::*;
 use crate::command::{ErrorFlags, ReadModel, ReadStatus1};
 use crate::data::Data;
 use crate::io::{Trouble, Watch};
-use crate::master::{Config, Event, Master, MotorSet};
+use crate::master::{Config, Event, Master, MotorSet, Patience};
 use crate::opcode::LOST_MASTER_BYTE;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -293,6 +293,22 @@ fn old_feedback_from_before_the_watch_is_no_silence() {
     bench.watch = Watch::new(id(1).into(), ms(500));
     bench.look(ms(600)).unwrap();
     assert_eq!(bench.look(ms(601)), Err(Trouble::Silent(id(1))));
+}
+
+/// Its cable is off. It has not restarted, as far as is known.
+#[test]
+fn motor_that_is_cut_off_is_silent_from_the_first_look_on() {
+    let mut bench = Bench::new();
+    bench.moves(1, ms(0));
+    for now in [2_000, 2_100, 2_200, 2_300].map(ms) {
+        let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(20) };
+        let _ = bench.master.request_with(id(1), ReadModel, once);
+        bench.sent(now);
+    }
+    bench.master.handle_timeout(ms(2_400));
+    assert!(bench.master.has_restarted(id(1)), "it may have");
+    bench.watch = bench.watch.anew(ms(2_400));
+    assert_eq!(bench.look(ms(2_400)), Err(Trouble::Silent(id(1))));
 }
 
 #[test]

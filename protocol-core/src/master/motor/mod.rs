@@ -447,9 +447,7 @@ impl Motor {
             return false;
         };
         let silence = now - before;
-        if was_asked_in_vain {
-            self.note_end_of(silence);
-        }
+        self.note_silence_of(silence, was_asked_in_vain, now);
         if self.was_missed() && silence >= RESTART_TAKES {
             self.begin_anew(config, now);
         }

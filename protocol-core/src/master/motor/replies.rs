@@ -241,8 +241,7 @@ impl Motor {
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
             self.has_let_go();
             // The drive ignores one command, and no more.
-            let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
-            if asked.is_stop() || asked.may_go_again() && is_harmless() {
+            if asked.may_go_again() && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
             } else {
                 self.request_has_failed(Failure::NotExecuted, config, now);

@@ -25,8 +25,8 @@ const LONGEST_SILENCE: Duration = Duration::from_millis(250);
 /// How many commands in a row a motor has to answer until it obeys for sure. It obeys the last of them.
 const STEADY_AFTER: u8 = 3;
 
-/// How many commands a motor has answered since the last long pause, or since the master knows it: nobody may have spoken to it
-/// before.
+/// How many commands a motor has answered since the last long pause, or since the master knows it: nobody may have
+/// spoken to it before.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Answered(u8);
 
@@ -41,22 +41,29 @@ impl Motor {
         self.answered.0 == 0
     }
 
-    /// A command is sent now. If there was a long pause before it, or the motor was silent for so long, the next commands
-    /// may be answered and not obeyed. So many motors take turns on a line.
+    /// A command is sent now. If there was a long pause before it, the next commands may be answered and not obeyed. So
+    /// many motors take turns on a line.
     #[inline]
     pub(crate) fn note_pause(&mut self, on_line: u32, now: Instant) {
-        if now - self.sent > LONGEST_PAUSE || self.was_missed() {
+        if self.pause_before(now) > LONGEST_PAUSE || self.was_missed() {
             self.may_begin_anew(on_line, now);
         }
     }
 
+    /// For how long it was sent nothing, or nothing was heard of it: what a controller hands back was never on the bus.
+    fn pause_before(&self, now: Instant) -> Duration {
+        (now - self.sent).max(now - self.health.heard_at())
+    }
+
     #[inline(never)]
     fn may_begin_anew(&mut self, on_line: u32, now: Instant) {
-        let Some(seen) = self.health.last_seen() else { return };
+        if self.health.last_seen().is_none() {
+            return;
+        }
         // Twice the time of one exchange with each.
         let longest = LONGEST_PAUSE.max(self.health.round_trip().times(2 * on_line));
-        let pause = now - self.sent;
-        if pause > longest || now - seen > longest {
+        let pause = self.pause_before(now);
+        if pause > longest {
             self.answered = Answered(0);
         }
         // What it reports unasked does not show that it hears anything.
@@ -65,8 +72,19 @@ impl Motor {
         }
     }
 
-    /// It is heard after this silence, in which it was asked.
-    pub(super) fn note_end_of(&mut self, silence: Duration) {
+    /// It is heard after this silence. Some of it was asked in vain, or what is in flight is answered only now.
+    #[inline]
+    pub(super) fn note_silence_of(
+        &mut self,
+        silence: Duration,
+        was_asked_in_vain: bool,
+        now: Instant,
+    ) {
+        let silence = match was_asked_in_vain {
+            true => silence,
+            false if self.is_in_flight() => silence.min(now - self.sent),
+            false => return,
+        };
         if silence > LONGEST_SILENCE {
             self.has_let_go();
         } else if silence > LONGEST_PAUSE {
@@ -101,6 +119,10 @@ impl Motor {
     pub(crate) fn may_have_let_go(&self, says_so: bool) -> bool {
         let answers = !self.was_missed() && !self.is_anew();
         matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
+    }
+
+    pub(crate) fn is_about_to_be_let_go(&self) -> bool {
+        self.request.under_way().is_some_and(|asked| asked.kind().lets_go())
     }
 
     /// Whether nobody wants anything of it, and the caller knows if it has restarted.

@@ -148,7 +148,7 @@ fn unknown_drive_that_lost_its_master_ignores_its_first_command() {
 }
 
 #[test]
-fn stop_ignored_after_its_last_attempt_is_sent_once_more() {
+fn stop_whose_last_attempt_is_ignored_is_given_up_and_goes_on() {
     let mut master = Master::<2>::new(Config::CAN);
     reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
@@ -162,12 +162,12 @@ fn stop_ignored_after_its_last_attempt_is_sent_once_more() {
     }
     let answered = last + Duration::from_millis(1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), answered), None, "it is ignored");
-    assert_eq!(events(&mut master, answered), []);
-    assert_eq!(sent(&mut master, answered)[0].data, Shutdown.encode());
-    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(events(&mut master, answered), [Event::StopUnconfirmed { motor: id(1) }]);
+    let again = answered + Duration::from_millis(100);
+    assert_eq!(sent(&mut master, again), [packet_to(1, Shutdown.encode())]);
     assert_eq!(
-        reply(&mut master, 1, Shutdown.encode(), answered + Duration::from_millis(1)),
-        confirmed
+        reply(&mut master, 1, Shutdown.encode(), again + once(1).reply_timeout),
+        confirmed(1)
     );
 }
 

@@ -126,25 +126,6 @@ fn move_to_all_is_refused_while_a_motor_has_restarted() {
 }
 
 #[test]
-fn ignored_last_attempt_of_a_stop_is_resent_and_then_unconfirmed() {
-    let mut master = Master::<2>::new(Config::CAN);
-    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
-    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    master.stop(id(1), StopKind::Off).unwrap();
-    let mut now = ms(1);
-    for _ in 0..15 {
-        assert_eq!(sent(&mut master, now).len(), 1);
-        now += Duration::from_millis(21);
-    }
-    reply(&mut master, 1, [LOST_MASTER_BYTE; 8], now).unwrap();
-    reply(&mut master, 1, Shutdown.encode(), now);
-    assert_eq!(events(&mut master, now), []);
-    assert_eq!(sent(&mut master, now).len(), 1);
-    let over = now + Duration::from_millis(21);
-    assert_eq!(events(&mut master, over), [Event::StopUnconfirmed { motor: id(1) }]);
-}
-
-#[test]
 fn on_rs485_patient_request_delays_a_stop_by_50_ms_at_most() {
     let mut master = Master::<4>::new(Config::rs485(115_200, false));
     let waiting = master.request_with(id(1), ReadMultiTurnAngle, patient(1, 10_000)).unwrap();

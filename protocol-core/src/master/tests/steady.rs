@@ -486,6 +486,84 @@ fn motor_that_was_told_to_let_go_is_not_told_again_to_hold() {
     assert_eq!(sent(&mut master, ms(now + 15)), []);
 }
 
+/// Its controller has handed each frame back: nothing was sent.
+#[test]
+fn frames_that_are_handed_back_do_not_speak_to_a_motor() {
+    let tells: [fn(&mut Master<2>, u64); 2] = [
+        |master, at| master.set_point(id(1), torque(1.0), ms(at)).unwrap(),
+        |master, _| _ = master.request_with(id(1), ReadModel, once(5)),
+    ];
+    for (tell, pause) in tells.into_iter().flat_map(|tell| [(tell, 160), (tell, 420)]) {
+        let mut master = held();
+        master.lift_stop();
+        for at in (20..20 + pause).step_by(10) {
+            tell(&mut master, at);
+            for packet in sent(&mut master, ms(at)) {
+                master.handle_pushed_out(&packet);
+            }
+            events(&mut master, ms(at));
+        }
+        let now = 20 + pause;
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert_eq!(answers_until(&mut master, Stop.encode(), now, is_confirmed), 3, "{pause}");
+    }
+}
+
+/// Its caller has time, and it answers at last.
+#[test]
+fn a_silence_within_one_long_time_out_counts() {
+    let mut master = held();
+    master.lift_stop();
+    let hold = master.request_with(id(1), Stop, once(2_000)).unwrap();
+    assert_eq!(sent(&mut master, ms(20)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(600)), None);
+    let is_outcome = |event: &Event| matches!(hold.outcome(event), Some(Ok(_)));
+    // When it has heard the first one is not known.
+    assert_eq!(answers_until(&mut master, Stop.encode(), 601, is_outcome), 3);
+
+    let mut master = held();
+    let read = master.request_with(id(1), ReadModel, once(500)).unwrap();
+    assert_eq!(sent(&mut master, ms(20)).len(), 1);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(390)).unwrap();
+    assert!(read.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(391)), [packet_to(1, Stop.encode())]);
+}
+
+/// A caller lets it go, under a stop in force that is to hold it.
+#[test]
+fn motor_that_is_about_to_be_let_go_is_not_told_again() {
+    let (mut master, now) = loose();
+    let off = master.request(id(1), Shutdown).unwrap();
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+    master.hold_again(MotorSet::ALL);
+    let event = reply(&mut master, 1, Shutdown.encode(), half_past(now)).unwrap();
+    assert!(off.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+    master.hold_again(MotorSet::ALL);
+    assert_eq!(sent(&mut master, ms(now + 1)), []);
+}
+
+/// Its drive says after each that it has lost its master, and sends it back.
+#[test]
+fn stop_that_is_sent_back_again_and_again_is_given_up() {
+    for kind in [StopKind::Hold, StopKind::Off] {
+        let mut master = Master::<2>::new(Config::CAN);
+        answers(&mut master, 1..5);
+        master.stop(id(1), kind).unwrap();
+        let (_, stop) = kind.command();
+        let mut times = 0;
+        let lost_master = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
+        let is_given_up = (5..50).any(|now| {
+            times += sent(&mut master, ms(now)).len();
+            reply(&mut master, 1, lost_master, half_past(now));
+            reply(&mut master, 1, stop, half_past(now) + Duration::from_micros(400));
+            events(&mut master, ms(now + 1)) == [Event::StopUnconfirmed { motor: id(1) }]
+        });
+        assert!(is_given_up && times == 15, "{kind:?}: {times}");
+    }
+}
+
 /// The stop is lifted, and its caller wants something else, or has asked it for something since.
 #[test]
 fn motor_is_not_held_again_against_its_caller() {
