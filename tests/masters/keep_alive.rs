@@ -257,7 +257,7 @@ fn motors_hold_after_an_outage<W: Wire>() {
     use Called::{After, Before, BeforeAndLifted};
     // Behind a second of silence they may have restarted. Then they are to be resumed once the stop is lifted.
     let shorter =
-        [400, 900].map(|outage| [(outage, After), (outage, Before), (outage, BeforeAndLifted)]);
+        [400, 800].map(|outage| [(outage, After), (outage, Before), (outage, BeforeAndLifted)]);
     let cases = shorter.into_iter().flatten().chain([(1_500, After), (1_500, Before)]);
     let cases =
         cases.flat_map(|(outage, called)| [(outage, called, false), (outage, called, true)]);

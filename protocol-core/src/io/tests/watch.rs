@@ -304,8 +304,9 @@ fn motor_that_is_cut_off_is_silent_from_the_first_look_on() {
         let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(20) };
         let _ = bench.master.request_with(id(1), ReadModel, once);
         bench.sent(now);
+        bench.master.handle_timeout(now + once.reply_timeout);
+        while bench.master.poll_event().is_some() {}
     }
-    bench.master.handle_timeout(ms(2_400));
     assert!(bench.master.has_restarted(id(1)), "it may have");
     bench.watch = bench.watch.anew(ms(2_400));
     assert_eq!(bench.look(ms(2_400)), Err(Trouble::Silent(id(1))));

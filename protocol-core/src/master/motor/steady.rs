@@ -52,7 +52,7 @@ impl Motor {
 
     /// For how long it was sent nothing, or nothing was heard of it: what a controller hands back was never on the bus.
     fn pause_before(&self, now: Instant) -> Duration {
-        (now - self.sent).max(now - self.health.heard_at())
+        now - self.sent.min(self.health.heard_at())
     }
 
     #[inline(never)]
@@ -80,6 +80,13 @@ impl Motor {
         was_asked_in_vain: bool,
         now: Instant,
     ) {
+        if silence > LONGEST_PAUSE {
+            self.note_pause_within(silence, was_asked_in_vain, now);
+        }
+    }
+
+    #[inline(never)]
+    fn note_pause_within(&mut self, silence: Duration, was_asked_in_vain: bool, now: Instant) {
         let silence = match was_asked_in_vain {
             true => silence,
             false if self.is_in_flight() => silence.min(now - self.sent),
