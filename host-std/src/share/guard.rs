@@ -12,10 +12,10 @@ use crate::open::BusError;
 /// unwinds, or at its end. It is to threads what [`io::Guard`](myactuator_protocol_core::io::Guard) is to a loop, and
 /// is used like the handle itself. A plain handle does not stop them: while any other thread has one, the motors go on.
 ///
-/// It waits for the motors as long as [a stop](myactuator_protocol_core::io::longest_stop) is tried. Meanwhile the bus asks
-/// those that have confirmed, so that their protection (0xB3) does not let them go. With a guard for each of two buses
-/// in one thread, the second bus is stopped only after that if the first is cut. [`Guards`] stop several buses at the
-/// same time.
+/// It waits for the motors as long as [a stop](myactuator_protocol_core::io::longest_stop) is tried. Meanwhile the bus
+/// asks those that have confirmed, so that their protection (0xB3) does not let them go. With a guard for each of two
+/// buses in one thread, the second bus is stopped only after that if the first is cut. [`Guards`] stop several buses at
+/// the same time.
 ///
 /// It cannot stop the motors if its scope is never left, for example when `main` returns while it lives in another
 /// thread. [What ends a shared bus](super#what-ends-it) lists the other cases.

@@ -3,6 +3,7 @@
 use super::*;
 use crate::command::U12;
 use crate::id::Target;
+use crate::master::Presence;
 
 const STATUS_REPLY: Data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
 
@@ -13,6 +14,16 @@ fn answers<const N: usize>(master: &mut Master<N>, times: impl IntoIterator<Item
         let event = reply(master, 1, STATUS_REPLY, half_past(now)).unwrap();
         assert!(read.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
     }
+}
+
+/// A motor says this on a line.
+fn says<const N: usize>(
+    master: &mut Master<N>,
+    motor: u8,
+    data: Data,
+    at: Instant,
+) -> Option<Event> {
+    master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, at)
 }
 
 fn half_past(now: u64) -> Instant {
@@ -340,6 +351,13 @@ fn feedback_of_odd_drives_counts_after_three_answers() {
         };
         assert_eq!(feedbacks_of(0..5), [false, false, false, true, true]);
         assert_eq!(feedbacks_of(300..305), [false, false, false, true, true]);
+        // It is there all the same.
+        let _ = unanswered(&mut master, 310, 160);
+        assert_eq!(master.health(id(1)).presence, Presence::Late);
+        master.set_point(id(1), motion(), ms(471)).unwrap();
+        assert_eq!(sent(&mut master, ms(471)).len(), 1);
+        master.handle_frame(&Received::Packet(packet), ms(472)).unwrap();
+        assert_eq!(master.health(id(1)).presence, Presence::Present);
     }
 }
 
@@ -348,6 +366,8 @@ fn feedback_of_odd_drives_counts_after_three_answers() {
 fn set_point_that_looks_half_like_feedback_is_none() {
     for set_point in [
         RawMotion { position: 0x0166, ..motion() },
+        // No torque: the last byte is 0.
+        RawMotion { position: 0x0166, torque: U12::new(0x800).unwrap(), ..motion() },
         RawMotion { kd: U12::new(0).unwrap(), torque: U12::new(0).unwrap(), ..motion() },
     ] {
         let mut master = Master::<2>::new(Config::CAN);
@@ -363,7 +383,11 @@ fn set_point_that_looks_half_like_feedback_is_none() {
 fn motor_that_was_sent_nothing_for_long_is_told_again() {
     for (pause, is_told) in [(400, false), (401, true)] {
         let mut master = held();
-        answers(&mut master, [20, 20 + pause]);
+        answers(&mut master, [20]);
+        let _ = ask(&mut master, 1, ReadStatus1, ms(20 + pause));
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(20 + pause)), [], "nothing shows that it is there");
+        reply(&mut master, 1, STATUS_REPLY, half_past(20 + pause)).unwrap();
         master.hold_again(MotorSet::ALL);
         assert_eq!(sent(&mut master, ms(21 + pause)).len(), usize::from(is_told), "{pause}");
     }
@@ -595,6 +619,57 @@ fn motor_is_not_held_again_against_its_caller() {
     }
 }
 
+/// Each exchange of eight motors takes 40 ms, so that 640 ms between two of one motor are no pause.
+#[test]
+fn pauses_of_a_slow_line_are_longer() {
+    let held = || {
+        let mut master = Master::<8>::new(
+            Config::rs485(115_200, false).adapting_up_to(Duration::from_millis(60)),
+        );
+        (1..=8).for_each(|motor| obeys(&mut master, motor));
+        let mut now = 0;
+        for _ in 0..40 {
+            let _ = ask(&mut master, 1, ReadModel, ms(now));
+            says(&mut master, 1, *b"\xB5X8S2V10", ms(now + 40)).unwrap();
+            now += 41;
+        }
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Stop.encode())]);
+        assert_eq!(says(&mut master, 1, Stop.encode(), ms(now + 40)), confirmed(1));
+        (master, now + 40)
+    };
+    for (pause, confirms, is_told) in
+        [(600, 1, false), (700, 3, false), (1_200, 3, false), (1_350, 3, true)]
+    {
+        let (mut master, now) = held();
+        master.lift_stop();
+        master.stop(id(1), StopKind::Hold).unwrap();
+        let at = now + pause;
+        let answers = (at..).position(|at| {
+            assert_eq!(sent(&mut master, ms(at)).len(), 1);
+            says(&mut master, 1, Stop.encode(), half_past(at)) == confirmed(1)
+        });
+        assert_eq!(answers, Some(confirms - 1), "{pause}");
+        let (mut master, now) = held();
+        let at = now + pause;
+        let _ = ask(&mut master, 1, ReadModel, ms(at));
+        says(&mut master, 1, *b"\xB5X8S2V10", ms(at + 1)).unwrap();
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(at + 20)).len(), usize::from(is_told), "{pause}");
+    }
+}
+
+/// It came behind its time-out.
+#[test]
+fn late_answer_to_a_hold_counts_as_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(21)), []);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(21)), None);
+    assert_eq!(answers_until(&mut master, Stop.encode(), 22, is_confirmed), 2);
+}
+
 /// Nobody has called for it, and a caller that has counted them may go on.
 #[test]
 fn hold_that_goes_again_is_no_call_for_a_stop() {
@@ -617,14 +692,11 @@ fn hold_that_goes_again_leaves_time_for_the_answer_under_way() {
     let mut master = Master::<2>::new(Config::rs485(115_200, false));
     obeys(&mut master, 1);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let says = |master: &mut Master<2>, motor, data, at| {
-        master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, ms(at))
-    };
     assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
-    assert_eq!(says(&mut master, 1, Stop.encode(), 2), confirmed(1));
+    assert_eq!(says(&mut master, 1, Stop.encode(), ms(2)), confirmed(1));
     // It is not spoken to for long, and then is.
     let _ = ask(&mut master, 1, ReadModel, ms(600));
-    says(&mut master, 1, *b"\xB5X8S2V10", 602).unwrap();
+    says(&mut master, 1, *b"\xB5X8S2V10", ms(602)).unwrap();
     let _ = ask(&mut master, 1, ReadModel, ms(610));
     master.hold_again(MotorSet::ALL);
     assert_eq!(sent(&mut master, ms(614)), [], "the answer may come yet");
@@ -641,6 +713,17 @@ fn set_points_behind_a_pause_count_as_commands_that_may_not_be_obeyed() {
     reply(&mut master, 1, TORQUE_REPLY, ms(501)).unwrap();
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(answers_until(&mut master, Stop.encode(), 502, is_confirmed), 2);
+}
+
+/// It may be behind that in a mailbox.
+#[test]
+fn no_hold_goes_again_while_all_are_about_to_be_told_to_lock_their_brakes() {
+    let (mut master, now) = loose();
+    let _ = ask(&mut master, 2, ReadStatus1, ms(now));
+    master.broadcast(LockBrake, MotorSet::from([id(1), id(2)])).unwrap();
+    master.hold_again(MotorSet::ALL);
+    let held = |packet: &Packet| packet.data == Stop.encode();
+    assert!(!sent(&mut master, ms(now)).iter().any(held));
 }
 
 #[test]
