@@ -137,7 +137,6 @@ struct Stopping<E> {
     unconfirmed: MotorSet,
     /// Those of them that still may.
     running: MotorSet,
-    begun: Instant,
     elapsed: Elapsed,
     answer: Answer<MotorSet, E>,
 }
@@ -250,8 +249,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         // The stop to all at once may be the only one for motors that were not named.
         let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
         self.stopping.retain_mut(|stop| {
-            let is_late = stop.elapsed.at(now)
-                >= longest_stop(self.runner.master(), stop.running, stop.begun);
+            let longest = longest_stop(self.runner.master(), stop.running, now);
+            let is_late = stop.elapsed.at(now) >= longest;
             let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
                 for motor in stop.running.iter() {
@@ -355,8 +354,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         answer: Answer<MotorSet, R::Error>,
     ) {
         let unconfirmed = running.with(also);
-        let (begun, elapsed) = (self.runner.now(), Elapsed::default());
-        self.stopping.push(Stopping { of_all, unconfirmed, running, begun, elapsed, answer });
+        let elapsed = Elapsed::default();
+        self.stopping.push(Stopping { of_all, unconfirmed, running, elapsed, answer });
     }
 }
 

@@ -161,7 +161,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
     motors: MotorSet,
 ) -> MotorSet {
-    let (mut elapsed, begun) = (Elapsed::default(), runner.now());
+    let mut elapsed = Elapsed::default();
     let mut confirmed = MotorSet::EMPTY;
     let waiting = KeptAlive::of_stop(runner).during(async |bus| {
         // Those whose stop was given up, and goes once more from time to time.
@@ -169,7 +169,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
         loop {
             let now = bus.now();
             let master = bus.master();
-            confirmed = confirmed.with(master.stops_confirmed());
+            confirmed = master.stops_confirmed();
             given_up = given_up.with(master.stops_given_up());
             let waiting = motors.without(confirmed).without(given_up);
             let look_again = match waiting.is_empty() {
@@ -177,7 +177,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
                 true if master.is_stop_to_all_waiting() => RETRY_AFTER,
                 true => break,
             };
-            if elapsed.at(now) >= longest_stop(master, waiting, begun) {
+            if elapsed.at(now) >= longest_stop(master, waiting, now) {
                 break;
             }
             // An event may be the answer to a question, and an error of the bus may go.

@@ -44,7 +44,7 @@ const SHORT_STOP: Duration = Duration::from_millis(5);
 ///     let mut keep_alive = KeepAlive::of_stop(begun);
 ///     while !stopping.is_empty() {
 ///         let now = bus.now();
-///         if now - begun >= longest_stop(bus.master(), stopping, begun) {
+///         if now - begun >= longest_stop(bus.master(), stopping, now) {
 ///             break;
 ///         }
 ///         keep_alive.ask(MotorSet::ALL, bus.master(), now);

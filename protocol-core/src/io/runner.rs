@@ -16,15 +16,19 @@ use crate::time::{Duration, Instant};
 /// program that was suspended meanwhile goes on with the stop.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// How long a stop that has `begun` then is tried for these motors, which have not confirmed it yet: three times
-/// [`LONGEST_STOP`] if any of them was heard since. On a slow line of many motors their confirmations take that long.
+/// For how long a motor that was heard counts as one that answers its stop.
+const ANSWERS_WITHIN: Duration = Duration::from_millis(250);
+
+/// How long a stop is tried for these motors, which have not confirmed it yet: up to three times [`LONGEST_STOP`], as long
+/// as one of them answers every quarter of a second. On a slow line of many motors their confirmations take that long.
 pub fn longest_stop<const N: usize>(
     master: &Master<N>,
     motors: MotorSet,
-    begun: Instant,
+    now: Instant,
 ) -> Duration {
     let mut seen = motors.iter().filter_map(|motor| master.health(motor).last_seen);
-    if seen.any(|at| at >= begun) { LONGEST_STOP.times(3) } else { LONGEST_STOP }
+    let is_any_heard = seen.any(|at| now - at < ANSWERS_WITHIN);
+    if is_any_heard { LONGEST_STOP.times(3) } else { LONGEST_STOP }
 }
 
 /// How long a question waits for its turn at most. An earlier request ends sooner, except a stop that waits for a bus

@@ -230,6 +230,10 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn stray(&mut self, motor: MotorId, data: &Data) -> Event {
         self.count_stray(motor);
+        // It may answer another master.
+        if let Some(opcode) = Opcode::from_byte(data[0]) {
+            self.change(motor, |motor, _| motor.note_deed(opcode.into()));
+        }
         Event::Stray { motor, data: *data }
     }
 

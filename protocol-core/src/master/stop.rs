@@ -226,20 +226,17 @@ impl<const N: usize> Master<N> {
         });
     }
 
-    /// Tells those of these motors to hold again that were last told to, have confirmed it, and may have let go since.
-    /// Whether they confirm it again is reported as of any stop. Without a stop in force, only those of which nobody
-    /// wants anything else.
+    /// Tells those of these motors to hold again that have confirmed it and may have let go since. Whether they confirm it
+    /// again is reported as of any stop. Without a stop in force, only those that are [left to
+    /// hold](Motor::is_left_to_hold) and of which nobody wants anything.
     pub(crate) fn hold_again(&mut self, motors: MotorSet) {
         if self.is_end_of_all_waiting() {
             return;
         }
         let is_it = |&it: &MotorId| {
             let says_so = self.lost_master.contains(it);
-            let is_to_hold = |motor: &Motor| match self.is_stopped(it) {
-                true => !motor.is_about_to_be_let_go(),
-                false => motor.is_left_alone(),
-            };
-            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so) && is_to_hold(motor);
+            let may_be = |motor: &Motor| motor.may_be_held_again(self.is_stopped(it));
+            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so) && may_be(motor);
             motors.contains(it) && self.motor(it).is_some_and(is_loose)
         };
         let loose: MotorSet = self.motors().iter().filter(is_it).collect();
@@ -260,6 +257,7 @@ impl<const N: usize> Master<N> {
     }
 
     fn motors_whose(&self, is_it: impl Fn(LastStop) -> bool) -> MotorSet {
+        // None of these has a stop under way.
         let all = self.at(self.places.taken).filter(|(_, motor)| is_it(motor.last_stop));
         all.filter_map(|(_, motor)| motor.id).collect()
     }

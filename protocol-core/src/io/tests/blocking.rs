@@ -9,10 +9,12 @@ use embedded_can::nb::Can as _;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
-use crate::command::{NoReply, ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
+use crate::command::{NoReply, ReadMultiTurnAngle, ReadStatus1, Reset, Shutdown, Stop};
 use crate::error::RequestError;
-use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
-use crate::master::{Config, Event, Failure, Patience, StopKind};
+use crate::io::{
+    BlockingCan, CallError, CanMaster, Clock, LONGEST_STOP, Runner, SerialMaster, bring_up,
+};
+use crate::master::{Config, Event, Failure, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::can::{self, SimpleFrame};
 use crate::wire::rs485::Frame;
@@ -559,4 +561,52 @@ fn frame_read_after_one_without_an_event_is_not_lost() {
     let report = Frame { address: id(1).into(), data: [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0] };
     port.hear(&[nothing.encode(), report.encode()].concat());
     assert!(matches!(run(&mut arm, &clock, 1_000)[..], [Event::Report { .. }]));
+}
+
+/// It holds since an earlier one, and this one has taken another's place before it was called.
+#[test]
+fn no_stop_counts_as_confirmed_that_was_not_sent() {
+    type Before = fn(&mut CanMaster<TestCan, TestClock, 4>);
+    let stories: [Before; 2] = [
+        |arm| {
+            let _ = arm.master().request(id(1), Stop).unwrap();
+            arm.master().broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        },
+        |arm| {
+            arm.master().broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+            arm.master().stop(id(2), StopKind::Hold).unwrap();
+        },
+    ];
+    for story in stories {
+        for is_dead in [false, true] {
+            let (bus, _, mut arm) = can();
+            let both = MotorSet::from([id(1), id(2)]);
+            assert!(arm.stop_all(StopKind::Hold, both).is_empty());
+            arm.master().lift_stop();
+            if is_dead {
+                bus.state().full_until = u64::MAX;
+            }
+            story(&mut arm);
+            let before = bus.sent().len();
+            let unconfirmed = arm.stop_all(StopKind::Off, MotorSet::EMPTY);
+            let off =
+                bus.sent()[before..].iter().filter(|data| **data == Shutdown.encode()).count();
+            assert_eq!(unconfirmed, if is_dead { both } else { MotorSet::EMPTY });
+            assert!(is_dead || off >= 2, "{off}");
+        }
+    }
+}
+
+/// The motor is heard once. It reports something on its own, and may hear nothing.
+#[test]
+fn stop_on_a_bus_that_takes_nothing_ends_after_a_second_although_a_motor_is_heard() {
+    let (bus, _, mut arm) = can();
+    arm.ask(id(1), ReadStatus1).unwrap();
+    bus.state().full_until = u64::MAX;
+    let report = Packet { channel: Channel::Reply(id(1)), data: [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0] };
+    bus.hear_at(arm.now().as_micros() + 500_000, &report);
+    let begun = arm.now();
+    assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), id(1).into());
+    let took = arm.now() - begun;
+    assert!(took < LONGEST_STOP + Duration::from_millis(100), "{took:?}");
 }

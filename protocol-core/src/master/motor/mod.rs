@@ -131,6 +131,8 @@ pub(super) struct Motor {
     pub(super) position: Option<Position>,
     pub(super) position_at: Instant,
     pub(super) last_stop: LastStop,
+    /// It has confirmed that it holds, and nothing has moved it or ended that since, as far as is known.
+    is_left_to_hold: bool,
     pub(super) health: Record,
 }
 
@@ -381,7 +383,7 @@ impl Motor {
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
         self.stream.was_sent();
-        (self.stop_sent, self.last_stop) = (StopSent::None, LastStop::None);
+        (self.stop_sent, self.is_left_to_hold) = (StopSent::None, false);
     }
 
     /// When what is in flight has had its time. A caller's own time-out does not make this longer than that of a stop.
@@ -460,14 +462,9 @@ impl Motor {
         if kind.is_refused_while_stopped() {
             self.stop_sent = StopSent::None;
         }
-        if kind.may_move() {
-            self.last_stop = LastStop::None;
-        }
+        self.note_deed(kind);
         match kind.opcode() {
-            Some(Opcode::Reset) => {
-                self.begin_anew(config, now);
-                self.last_stop = LastStop::None;
-            }
+            Some(Opcode::Reset) => self.begin_anew(config, now),
             Some(Opcode::ActiveReply) => self.note_reports(data),
             _ => self.note_told(kind),
         }

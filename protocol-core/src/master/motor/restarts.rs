@@ -133,6 +133,7 @@ impl Motor {
     #[inline(never)]
     pub(crate) fn begin_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
+        self.is_left_to_hold = false;
         self.reports = 0;
         // A command may be about to restart it.
         self.started_by = step_of(now + config.restart_time);

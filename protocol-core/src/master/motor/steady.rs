@@ -7,6 +7,7 @@
 
 use crate::master::motor::Motor;
 use crate::master::motor::stopping::LastStop;
+use crate::master::request::Asked;
 use crate::master::stop::StopKind;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -128,13 +129,12 @@ impl Motor {
         matches!(self.last_stop, LastStop::MayHaveLetGo) && (answers || says_so)
     }
 
-    pub(crate) fn is_about_to_be_let_go(&self) -> bool {
-        self.request.under_way().is_some_and(|asked| asked.kind().lets_go())
-    }
-
-    /// Whether nobody wants anything of it, and the caller knows if it has restarted.
-    pub(crate) fn is_left_alone(&self) -> bool {
-        self.request.is_none() && self.stream.is_none() && !self.has_restarted
+    /// Whether it may be told to hold again. A caller's own command that ends its motion goes first.
+    pub(crate) fn may_be_held_again(&self, is_stopped: bool) -> bool {
+        match is_stopped {
+            true => !self.request.under_way().is_some_and(Asked::ends_motion),
+            false => self.is_left_to_hold && self.request.is_none() && self.stream.is_none(),
+        }
     }
 
     /// Whether this may be a motion command, and not feedback. After a silence a drive may send back the first command,

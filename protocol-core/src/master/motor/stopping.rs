@@ -41,7 +41,7 @@ pub(crate) enum StopSent {
     Earlier,
 }
 
-/// What became of a motor's last stop, if it was told nothing since that moves it.
+/// What became of a motor's last stop.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) enum LastStop {
     /// There was none, it is under way, or the motor was told something else since.
@@ -111,14 +111,23 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
+    /// This or another master has told it this: something else than to hold, or nothing that matters.
+    pub(crate) fn note_deed(&mut self, kind: Kind) {
+        let holds = kind == Kind::Known(Opcode::Stop);
+        if !holds && (kind.may_move() || kind.ends_motion()) {
+            self.is_left_to_hold = false;
+        }
+    }
+
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(crate) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
+        // What became of an earlier one says nothing about this one.
+        self.last_stop = LastStop::None;
         if self.stop_sent == StopSent::UnderWay {
             self.stop_sent = StopSent::Earlier;
         }
         self.end_stream();
         if stop.purpose != Purpose::StopAgain {
-            // What became of an earlier stop says nothing about this one.
             self.news.remove(News::UNCONFIRMED);
         }
         // Also for a request whose outcome was not reported yet: each request has one.
@@ -179,6 +188,7 @@ impl Motor {
         // A drive without a brake also acknowledges its lock, and turns on.
         if let Some(stop) = StopKind::by(by) {
             self.last_stop = LastStop::Confirmed(stop);
+            self.is_left_to_hold = stop == StopKind::Hold;
             self.news.remove(News::UNCONFIRMED);
         }
     }

@@ -554,18 +554,23 @@ fn a_silence_within_one_long_time_out_counts() {
     assert_eq!(sent(&mut master, ms(391)), [packet_to(1, Stop.encode())]);
 }
 
-/// A caller lets it go, under a stop in force that is to hold it.
+/// A caller lets it go, or locks its brake, under a stop in force that is to hold it.
 #[test]
-fn motor_that_is_about_to_be_let_go_is_not_told_again() {
-    let (mut master, now) = loose();
-    let off = master.request(id(1), Shutdown).unwrap();
-    master.hold_again(MotorSet::ALL);
-    assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
-    master.hold_again(MotorSet::ALL);
-    let event = reply(&mut master, 1, Shutdown.encode(), half_past(now)).unwrap();
-    assert!(off.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
-    master.hold_again(MotorSet::ALL);
-    assert_eq!(sent(&mut master, ms(now + 1)), []);
+fn command_that_ends_motion_goes_before_a_hold_that_goes_again() {
+    fn goes_first<C: Command + Copy>(command: C, is_held_after: bool) {
+        let (mut master, now) = loose();
+        let asked = master.request(id(1), command).unwrap();
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, command.encode())]);
+        master.hold_again(MotorSet::ALL);
+        let event = reply(&mut master, 1, command.encode(), half_past(now)).unwrap();
+        assert!(asked.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(now + 1)).len(), usize::from(is_held_after));
+    }
+    goes_first(Shutdown, false);
+    // Its brake may slip, and the stop is to hold it.
+    goes_first(LockBrake, true);
 }
 
 /// Its drive says after each that it has lost its master, and sends it back.
@@ -591,7 +596,7 @@ fn stop_that_is_sent_back_again_and_again_is_given_up() {
 /// The stop is lifted, and its caller wants something else, or has asked it for something since.
 #[test]
 fn motor_is_not_held_again_against_its_caller() {
-    let stories: [fn(&mut Master<2>, u64); 5] = [
+    let stories: [fn(&mut Master<2>, u64); 8] = [
         |master, now| master.set_point(id(1), torque(1.0), ms(now)).unwrap(),
         |master, _| _ = master.request(id(1), step()).unwrap(),
         |master, now| {
@@ -607,6 +612,20 @@ fn motor_is_not_held_again_against_its_caller() {
             let _ = ask(master, 1, Reset, ms(now));
             events(master, ms(now + 3_000));
             master.resume(id(1));
+        },
+        // It restarts on its own.
+        |master, _| {
+            master.note_restart(id(1));
+            master.resume(id(1));
+        },
+        |master, now| {
+            let _ = ask(master, 1, LockBrake, ms(now));
+            reply(master, 1, LockBrake.encode(), half_past(now)).unwrap();
+        },
+        // Another master lets it go.
+        |master, now| {
+            let stray = reply(master, 1, Shutdown.encode(), ms(now)).unwrap();
+            assert!(matches!(stray, Event::Stray { .. }), "{stray:?}");
         },
     ];
     for (number, story) in stories.into_iter().enumerate() {
