@@ -169,7 +169,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
         loop {
             let now = bus.now();
             let master = bus.master();
-            confirmed = master.stops_confirmed();
+            confirmed = confirmed.with(master.stops_confirmed());
             given_up = given_up.with(master.stops_given_up());
             let waiting = motors.without(confirmed).without(given_up);
             let look_again = match waiting.is_empty() {
