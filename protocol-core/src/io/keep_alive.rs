@@ -112,11 +112,11 @@ impl KeepAlive {
     /// If a motor may have let go that a stop in force is to hold, it is told again. Then there is another
     /// [`StopConfirmed`](Event::StopConfirmed), or [`StopUnconfirmed`](Event::StopUnconfirmed). That is so when it is
     /// heard after a silence of more than 250 ms in which it was asked, or after a long pause in which nobody spoke to
-    /// it; when it has restarted; and when it says that it has lost its master. The same holds
-    /// without a stop in force for a motor that has confirmed a hold (0x81), if nothing has ended that since, as far as
-    /// is known: no move, no release or lock of its brake, no shutdown and no restart, by this master or by another that
-    /// is heard. A motor of which the caller wants something is left alone then. A motor that holds because it has
-    /// arrived somewhere is not told again.
+    /// it; when it has restarted; and when it says that it has lost its master. The same holds without a stop in force
+    /// for a motor that has confirmed a hold (0x81), if nothing has ended that since, as far as is known: no move, no
+    /// release or lock of its brake, no shutdown and no restart, by this master or by another that is heard. A motor of
+    /// which the caller wants something is left alone then. A motor that holds because it has arrived somewhere is not
+    /// told again.
     ///
     /// Until a motor that is told again has answered, requests to it are refused as busy, and set-points wait.
     pub fn ask<const N: usize>(&mut self, motors: MotorSet, master: &mut Master<N>, now: Instant) {
