@@ -677,3 +677,17 @@ fn first_stop_of_a_long_line_behind_a_slow_adapter_is_confirmed_by_all() {
         assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY, "{motors}");
     }
 }
+
+/// Each look at a dead motor takes a time-out, many in a row. The living ones are confirmed all the same.
+#[test]
+fn first_stop_of_a_slow_line_with_dead_motors_is_confirmed_by_the_others() {
+    for dead in [8, 16] {
+        let bus = Fleet::new(32).on_rs485(9_600).unwrap();
+        let (mut runner, _) = Rs485Line::runner::<32>(&bus.world, Config::rs485(9_600, false));
+        for drive in &bus.drives[32 - dead..] {
+            bus.world.cut(drive.station());
+        }
+        let unconfirmed = runner.stop_all(StopKind::Hold, MotorSet::ALL);
+        assert_eq!(unconfirmed, (1..=32).skip(32 - dead).map(id).collect(), "{dead}");
+    }
+}

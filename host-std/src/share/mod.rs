@@ -92,7 +92,7 @@
 //! robot waits for a person or for another bus, and also if all other threads hang; a gripper that
 //! [presses](myactuator_protocol_core::io::bring_up::WhenStalled::Press) goes on pressing. If a motor may have let
 //! go because it heard nothing, or has restarted, and a stop in force is to hold it, it is told again; also once that
-//! stop is lifted, and after a release of its brake, unless it has restarted. One that holds because it has arrived is not told
+//! stop is lifted, and after [`release_brake`](SharedBus::release_brake), unless it may have restarted. One that holds because it has arrived is not told
 //! again, and nothing says so: where motors have no brakes, hold them by a stop. A motor that was told to move is
 //! spoken to only by whoever moves it, so that its protection ends what a thread that hangs has begun. One that is off,
 //! or that reports an error, is left to its protection, which locks its brake. Errors that the bus finds so are

@@ -180,6 +180,15 @@ impl<const N: usize> Master<N> {
 
     /// An answer to the broadcast, a report, or anything else that nothing waits for.
     fn handle_unasked(&mut self, id: MotorId, packet: &Packet, is_doubled: bool) -> Event {
+        // It may answer another master.
+        let opcode = if packet.is_motion() {
+            Some(Opcode::Motion)
+        } else {
+            Opcode::from_byte(packet.data[0])
+        };
+        if let Some(opcode) = opcode {
+            self.change(id, |motor, _| motor.note_deed(opcode.into()));
+        }
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if packet.is_motion() {
             return self.stray(id, &packet.data);
@@ -230,10 +239,6 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     fn stray(&mut self, motor: MotorId, data: &Data) -> Event {
         self.count_stray(motor);
-        // It may answer another master.
-        if let Some(opcode) = Opcode::from_byte(data[0]) {
-            self.change(motor, |motor, _| motor.note_deed(opcode.into()));
-        }
         Event::Stray { motor, data: *data }
     }
 

@@ -246,7 +246,7 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The motors that have confirmed their last stop, and for which it still counts.
+    /// The motors that have confirmed their last stop, and have not let go since, as far as is known.
     pub(crate) fn stops_confirmed(&self) -> MotorSet {
         self.motors_whose(|stop| matches!(stop, LastStop::Confirmed(_)))
     }

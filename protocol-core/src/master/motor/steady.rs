@@ -6,6 +6,7 @@
 //! told again.
 
 use crate::master::motor::Motor;
+use crate::master::motor::restarts::RESTART_TAKES;
 use crate::master::motor::stopping::LastStop;
 use crate::master::request::Asked;
 use crate::master::stop::StopKind;
@@ -66,6 +67,10 @@ impl Motor {
         let pause = self.pause_before(now);
         if pause > longest {
             self.answered = Answered(0);
+        }
+        // It may have restarted, and its caller does not know.
+        if pause >= RESTART_TAKES {
+            self.is_left_to_hold = false;
         }
         // What it reports unasked does not show that it hears anything.
         if pause > PAUSE_OF_LOSS.max(longest.times(2)) || self.is_silent_for_long() {

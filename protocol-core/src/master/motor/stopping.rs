@@ -44,7 +44,7 @@ pub(crate) enum StopSent {
 /// What became of a motor's last stop.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) enum LastStop {
-    /// There was none, it is under way, or the motor was told something else since.
+    /// There was none, it is under way, or the motor was told to stop in another way since.
     #[default]
     None,
     /// It has confirmed this one.

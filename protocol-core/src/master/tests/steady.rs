@@ -596,7 +596,7 @@ fn stop_that_is_sent_back_again_and_again_is_given_up() {
 /// The stop is lifted, and its caller wants something else, or has asked it for something since.
 #[test]
 fn motor_is_not_held_again_against_its_caller() {
-    let stories: [fn(&mut Master<2>, u64); 8] = [
+    let stories: [fn(&mut Master<2>, u64); 10] = [
         |master, now| master.set_point(id(1), torque(1.0), ms(now)).unwrap(),
         |master, _| _ = master.request(id(1), step()).unwrap(),
         |master, now| {
@@ -626,6 +626,16 @@ fn motor_is_not_held_again_against_its_caller() {
         |master, now| {
             let stray = reply(master, 1, Shutdown.encode(), ms(now)).unwrap();
             assert!(matches!(stray, Event::Stray { .. }), "{stray:?}");
+        },
+        // Another master moves it.
+        |master, now| {
+            let stray = motion_feedback(master, ms(now)).unwrap();
+            assert!(matches!(stray, Event::Stray { .. }), "{stray:?}");
+        },
+        // Nobody speaks to it for as long as a restart takes.
+        |master, now| {
+            let _ = ask(master, 1, ReadStatus1, ms(now + 1_000));
+            reply(master, 1, STATUS_REPLY, half_past(now + 1_000)).unwrap();
         },
     ];
     for (number, story) in stories.into_iter().enumerate() {
