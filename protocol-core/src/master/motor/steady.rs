@@ -143,10 +143,15 @@ impl Motor {
     }
 
     /// Whether this may be a motion command, and not feedback. After a silence a drive may send back the first command,
-    /// perhaps behind its answers to others. Feedback names its motor and ends with two bytes of 0 (5.3); of the commands
-    /// only those with the most negative torque end so. Some drives name another motor.
+    /// perhaps behind its answers to others. Feedback names its motor, except that of some drives.
     pub(super) fn may_be_sent_back(&self, reply: &Packet) -> bool {
-        let names_it = self.id.is_some_and(|id| id.get() == reply.data[0]);
-        reply.is_motion() && !(names_it && reply.data.ends_with(&[0, 0]))
+        reply.is_motion() && self.id.is_some_and(|id| id.get() != reply.data[0])
+    }
+
+    /// The same for the next reply, and before the motor obeys for sure. Feedback also ends with two bytes of 0 (5.3); of
+    /// the commands only those with the most negative torque do.
+    pub(super) fn seems_sent_back(&self, reply: &Packet) -> bool {
+        let ends_so = || reply.is_motion() && !reply.data.ends_with(&[0, 0]);
+        !self.is_steady() && (self.may_be_sent_back(reply) || ends_so())
     }
 }

@@ -98,7 +98,7 @@ impl Motor {
         if self.keep_stop_under_way(&stop) {
             return;
         }
-        let last = core::mem::take(&mut self.last_stop);
+        let last = self.last_stop;
         if self.stop_sent != StopSent::None && last.is_like(&stop) {
             if stop.purpose == Purpose::Stop {
                 stop.purpose = Purpose::StopCalledAgain;
@@ -111,7 +111,7 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
-    /// This or another master has told it this: something else than to hold, or nothing that matters.
+    /// This or another master has told it this. After whatever may move it or ends its hold it is not left to hold.
     pub(crate) fn note_deed(&mut self, kind: Kind) {
         let holds = kind == Kind::Known(Opcode::Stop);
         if !holds && (kind.may_move() || kind.ends_motion()) {
