@@ -318,7 +318,7 @@ impl Truth {
             page.delivered_at = Some(now);
         }
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
-        if is_motion && (packet.data[0] != motor.get() || packet.data[6..] != [0, 0]) {
+        if is_motion && packet.data[0] != motor.get() {
             page.no_feedback += 1;
         }
         if is_misled && packet.data[3] != DONE && !is_lost_master {

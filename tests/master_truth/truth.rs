@@ -143,7 +143,7 @@ pub(crate) struct Page {
     pub(crate) run_time: RunTime,
     /// How often the master has heard that the motor has lost it.
     pub(crate) lost_master_delivered: u32,
-    /// How many frames of its motion mode were delivered that feedback never looks like: bits were flipped in it.
+    /// How many frames of its motion mode were delivered that name another: bits were flipped in them.
     pub(crate) no_feedback: u32,
     /// It has reported that it has lost its master, and none of these messages has reached the master.
     pub(crate) lost_master_untold: bool,

@@ -190,7 +190,7 @@ impl Motor {
             self.has_let_go();
             return Meaning::SetPointIgnored;
         }
-        if self.seems_sent_back(packet) {
+        if !self.is_steady() && self.may_be_sent_back(packet) {
             // It shows that the motor is spoken to: the feedback of some drives always looks like this.
             self.note_there();
             return Meaning::SetPointIgnored;

@@ -147,11 +147,4 @@ impl Motor {
     pub(super) fn may_be_sent_back(&self, reply: &Packet) -> bool {
         reply.is_motion() && self.id.is_some_and(|id| id.get() != reply.data[0])
     }
-
-    /// The same for the next reply, and before the motor obeys for sure. Feedback also ends with two bytes of 0 (5.3); of
-    /// the commands only those with the most negative torque do.
-    pub(super) fn seems_sent_back(&self, reply: &Packet) -> bool {
-        let ends_so = || reply.is_motion() && !reply.data.ends_with(&[0, 0]);
-        !self.is_steady() && (self.may_be_sent_back(reply) || ends_so())
-    }
 }

@@ -1,7 +1,6 @@
 //! Drives that were not spoken to for a while answer the first two commands and do not obey (2.31.1).
 
 use super::*;
-use crate::command::U12;
 use crate::id::Target;
 use crate::master::Presence;
 
@@ -332,11 +331,10 @@ fn set_point_that_is_sent_back_behind_other_answers_is_no_feedback() {
     assert_eq!(master.latest_feedback(id(1)), None);
 }
 
-/// Each of its feedbacks looks as if a command was sent back: it names another motor, or ends otherwise than with 0.
+/// Each of its feedbacks looks as if a command was sent back: it names another motor, or none.
 #[test]
 fn feedback_of_odd_drives_counts_after_three_answers() {
-    for odd in [[33, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0], [1, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 30]]
-    {
+    for odd in [33, 0].map(|names| [names, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0]) {
         let mut master = Master::<2>::new(Config::CAN);
         let packet = Packet { channel: Channel::MotionReply(id(1)), data: odd };
         let mut feedbacks_of = |times: core::ops::Range<u64>| -> Vec<bool> {
@@ -358,23 +356,6 @@ fn feedback_of_odd_drives_counts_after_three_answers() {
         assert_eq!(sent(&mut master, ms(471)).len(), 1);
         master.handle_frame(&Received::Packet(packet), ms(472)).unwrap();
         assert_eq!(master.health(id(1)).presence, Presence::Present);
-    }
-}
-
-/// A torque of -24 N·m ends with 0, as feedback does, and a position near -12.5 rad begins with the motor's id.
-#[test]
-fn set_point_that_looks_half_like_feedback_is_none() {
-    for set_point in [
-        RawMotion { position: 0x0166, ..motion() },
-        // No torque: the last byte is 0.
-        RawMotion { position: 0x0166, torque: U12::new(0x800).unwrap(), ..motion() },
-        RawMotion { kd: U12::new(0).unwrap(), torque: U12::new(0).unwrap(), ..motion() },
-    ] {
-        let mut master = Master::<2>::new(Config::CAN);
-        // An older one comes back, whose bytes are no longer known.
-        master.set_point(id(1), motion(), ms(0)).unwrap();
-        sent(&mut master, ms(0));
-        comes_back(&mut master, set_point, ms(1));
     }
 }
 
