@@ -39,7 +39,7 @@ pub(crate) fn measure(table: &mut Table) {
 }
 
 /// What it costs today, for 1, 8 and 32 motors.
-const CEILINGS: [u32; 3] = [1_295, 1_275, 1_435];
+const CEILINGS: [u32; 3] = [1_300, 1_275, 1_440];
 
 /// Instructions a motor.
 fn round_trip<const N: usize>() -> u32 {
