@@ -86,6 +86,16 @@ fn reply<const N: usize>(
     master.handle_frame(&Received::Packet(packet), now)
 }
 
+/// A motor says this on a line.
+fn says<const N: usize>(
+    master: &mut Master<N>,
+    motor: u8,
+    data: Data,
+    at: Instant,
+) -> Option<Event> {
+    master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, at)
+}
+
 /// Makes a request and sends it.
 fn ask<C: Command, const N: usize>(
     master: &mut Master<N>,

@@ -236,10 +236,21 @@ fn scan_ends_after_a_short_failure_of_the_line() {
     }
 }
 
-/// A loop whose button is pressed at this time.
-struct Pressed<R>(R, Option<Instant>);
+/// A loop that does this before each round.
+struct Before<R, F>(R, F);
 
-impl<R: Runner<8>> Runner<8> for Pressed<R> {
+/// A loop whose button is pressed at this time.
+fn pressed<R: Runner<8>>(bus: R, at: Instant) -> impl Runner<8, Error = R::Error> {
+    let mut at = Some(at);
+    Before(bus, move |bus: &mut R| {
+        let now = bus.now();
+        if at.take_if(|at| *at <= now).is_some() {
+            bus.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        }
+    })
+}
+
+impl<R: Runner<8>, F: FnMut(&mut R)> Runner<8> for Before<R, F> {
     type Error = R::Error;
 
     fn master(&mut self) -> &mut Master<8> {
@@ -251,16 +262,12 @@ impl<R: Runner<8>> Runner<8> for Pressed<R> {
     }
 
     fn poll(&mut self) -> Result<Option<Event>, R::Error> {
-        let now = self.now();
-        if self.1.take_if(|at| *at <= now).is_some() {
-            self.0.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
-        }
+        (self.1)(&mut self.0);
         self.0.poll()
     }
 
     fn idle(&mut self, until: Instant) {
-        let pressed_at = self.1.map_or(until, |at| at.min(until));
-        self.0.idle(pressed_at);
+        self.0.idle(until);
     }
 }
 
@@ -277,8 +284,8 @@ fn a_search_that_a_stop_ends_returns_that_and_keeps_no_place_without_a_motor() {
     let mut ended = 0;
     for pressed_after in (0..120_000).step_by(700) {
         let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
-        let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
-        let mut arm = Pressed(arm, pressed_at);
+        let pressed_at = arm.now() + Duration::from_micros(pressed_after);
+        let mut arm = pressed(arm, pressed_at);
         match bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}) {
             Ok(found) => assert_eq!(found, there, "{pressed_after}"),
             Err(error) => {
@@ -294,8 +301,8 @@ fn a_search_that_a_stop_ends_returns_that_and_keeps_no_place_without_a_motor() {
     for (motor, is_there) in [(1, true), (9, false)] {
         for pressed_after in (0..50_000).step_by(100) {
             let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
-            let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
-            let mut arm = Pressed(arm, pressed_at);
+            let pressed_at = arm.now() + Duration::from_micros(pressed_after);
+            let mut arm = pressed(arm, pressed_at);
             match bring_up::is_there(&mut arm, id(motor)) {
                 Ok(answer) => assert_eq!(answer, is_there, "{pressed_after}"),
                 // A stop of all has to reach it.
@@ -339,7 +346,7 @@ fn a_search_on_a_bus_that_takes_nothing_ends_although_a_stop_waits() {
     let (bus, _, arm) = on_can(CanMaster::<_, _, 8>::new);
     bus.state().full_until = u64::MAX;
     let begun = arm.now();
-    let mut arm = Pressed(arm, Some(begun + Duration::from_millis(10)));
+    let mut arm = pressed(arm, begun + Duration::from_millis(10));
     assert!(bring_up::is_there(&mut arm, id(1)).is_err());
     let took = arm.now() - begun;
     assert!(took <= LONGEST_TURN + LONGEST_STOP, "{took:?}");
@@ -350,8 +357,8 @@ fn a_search_on_a_bus_that_takes_nothing_ends_although_a_stop_waits() {
 fn a_stop_does_not_end_the_wait_for_a_motor() {
     for pressed_after in (0..3_000).step_by(50) {
         let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
-        let pressed_at = Some(arm.now() + Duration::from_micros(pressed_after));
-        let mut arm = Pressed(arm, pressed_at);
+        let pressed_at = arm.now() + Duration::from_micros(pressed_after);
+        let mut arm = pressed(arm, pressed_at);
         let limit = Duration::from_millis(500);
         assert_eq!(bring_up::wait_until_there(&mut arm, id(1), limit), Ok(()), "{pressed_after}");
     }
@@ -360,29 +367,10 @@ fn a_stop_does_not_end_the_wait_for_a_motor() {
 /// Somebody leans on it, so that each question gives way to a stop.
 #[test]
 fn the_wait_for_a_motor_ends_in_time_though_it_is_stopped_again_and_again() {
-    struct LeansOn<R>(R);
-    impl<R: Runner<8>> Runner<8> for LeansOn<R> {
-        type Error = R::Error;
-
-        fn master(&mut self) -> &mut Master<8> {
-            self.0.master()
-        }
-
-        fn now(&self) -> Instant {
-            self.0.now()
-        }
-
-        fn poll(&mut self) -> Result<Option<Event>, R::Error> {
-            self.0.master().stop(id(9), StopKind::Off).unwrap();
-            self.0.poll()
-        }
-
-        fn idle(&mut self, until: Instant) {
-            self.0.idle(until);
-        }
-    }
     let (_, _, arm) = on_can(CanMaster::<_, _, 8>::new);
-    let mut arm = LeansOn(arm);
+    let mut arm = Before(arm, |arm: &mut CanMaster<_, _, 8>| {
+        arm.master().stop(id(9), StopKind::Off).unwrap();
+    });
     let (begun, limit) = (arm.now(), Duration::from_millis(300));
     let gone = bring_up::wait_until_there(&mut arm, id(9), limit);
     assert!(gone.is_err(), "{gone:?}");

@@ -283,10 +283,6 @@ fn is_stopped_by_line(master: &mut Master<8>, motor: u8, kind: StopKind, at: Ins
     assert_eq!(says(master, motor, data, at + Duration::from_micros(900)), confirmed(motor));
 }
 
-fn says(master: &mut Master<8>, motor: u8, data: Data, at: Instant) -> Option<Event> {
-    master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, at)
-}
-
 /// A line on which motor 1 is stopped like this, and called again, and motor 8 follows a stream.
 fn called_again(kind: StopKind) -> Master<8> {
     let mut master = Master::<8>::new(Config::rs485(1_000_000, false));

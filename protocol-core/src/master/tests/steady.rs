@@ -15,16 +15,6 @@ fn answers<const N: usize>(master: &mut Master<N>, times: impl IntoIterator<Item
     }
 }
 
-/// A motor says this on a line.
-fn says<const N: usize>(
-    master: &mut Master<N>,
-    motor: u8,
-    data: Data,
-    at: Instant,
-) -> Option<Event> {
-    master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, at)
-}
-
 fn half_past(now: u64) -> Instant {
     ms(now) + Duration::from_micros(500)
 }
