@@ -665,9 +665,10 @@ fn motors_on_a_slow_line_hold_while_two_with_one_id_answer_at_once() {
     assert_eq!(lost_their_master(&bus.drives[2..]), []);
 }
 
-/// Each motor has to confirm three times, and the adapter hands over once in 16 ms.
+/// Each motor has to confirm three times, and the adapter hands over once in 16 ms. Later, when nobody has spoken to them
+/// for two seconds, they have to do so again, and others of them are heard while the last wait for their turn.
 #[test]
-fn first_stop_of_a_long_line_behind_a_slow_adapter_is_confirmed_by_all() {
+fn stops_of_a_long_line_behind_a_slow_adapter_are_confirmed_by_all() {
     for motors in [16, 20, 32] {
         let bus = Fleet::new(motors).on_rs485(115_200).unwrap();
         let config = Config::rs485(115_200, false).adapting_up_to(millis(40));
@@ -675,6 +676,9 @@ fn first_stop_of_a_long_line_behind_a_slow_adapter_is_confirmed_by_all() {
         bus.world.hand_over_every(station, millis(16));
         let all: MotorSet = (1..=motors).map(id).collect();
         assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY, "{motors}");
+        let later = runner.now() + millis(2_000);
+        runner.run_until(later, |_| {}).unwrap();
+        assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY, "{motors}, later");
     }
 }
 

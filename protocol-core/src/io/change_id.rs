@@ -49,23 +49,19 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     let (mut there, garbled) = (MotorSet::EMPTY, runner.master().garbled());
     find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
     let is_clean = |runner: &mut R| runner.master().garbled() == garbled;
-    let who = async |runner: &mut R, id, other| match there.contains(id) {
-        true => Ok(Who::Somebody),
-        false if is_clean(runner) => Ok(Who::Nobody),
-        false => who_answers(runner, id, other).await,
+    let is_had = async |runner: &mut R, id, other| match there.contains(id) {
+        true => Ok(true),
+        false if is_clean(runner) => Ok(false),
+        false => has_one(runner, id, other).await,
     };
-    match who(runner, from, to).await? {
-        Who::Nobody => return Err(BringUpError::NotThere(from)),
-        Who::Several => return Err(BringUpError::IdShared(from)),
-        Who::Noise => return Err(BringUpError::Noise(from)),
-        Who::Somebody if from == to => return Ok(()),
-        Who::Somebody => {}
+    if !is_had(runner, from, to).await? {
+        return Err(BringUpError::NotThere(from));
     }
-    match who(runner, to, from).await? {
-        Who::Nobody => {}
-        Who::Several => return Err(BringUpError::IdShared(to)),
-        Who::Noise => return Err(BringUpError::Noise(to)),
-        Who::Somebody => return Err(BringUpError::IdTaken(to)),
+    if from == to {
+        return Ok(());
+    }
+    if is_had(runner, to, from).await? {
+        return Err(BringUpError::IdTaken(to));
     }
     // Both ids are spoken to. Nothing is written unless the master has places for them.
     runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
@@ -81,33 +77,24 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     write_id(runner, from, to, is_alone).await.map_err(|error| error.behind_a_write(from))
 }
 
-/// Who has an id.
-enum Who {
-    Nobody,
-    Somebody,
-    /// Motors that answer at the same time on a line, so that they are not understood.
-    Several,
-    /// So much of it that nothing shows who answers.
-    Noise,
-}
-
-/// Who has an id that the search did not find, while something came that is no frame. Noise comes now and then, also
-/// while nobody is asked, or with the other id's answers as well.
-async fn who_answers<R: AsyncRunner<N>, const N: usize>(
+/// Whether a motor has an id that the search did not find, while something came that is no frame. Noise comes now and
+/// then, also while nobody is asked, or with the other id's answers as well. Refuses motors that answer at the same time
+/// on a line, so that they are not understood, and so much noise that nothing shows who answers.
+async fn has_one<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
     other: MotorId,
-) -> Result<Who, CallError<R::Error>> {
+) -> Result<bool, BringUpError<R::Error>> {
     let (mut silences, mut is_noisy) = (0, false);
     for _ in 0..QUESTIONS {
         match hear(runner, id).await? {
-            (true, _) => return Ok(Who::Somebody),
+            (true, _) => return Ok(true),
             (false, false) => silences += 1,
             (false, true) => {}
         }
         // One question may have been lost.
         if silences == SILENCES {
-            return Ok(Who::Nobody);
+            return Ok(false);
         }
         let garbled = runner.master().garbled();
         let end = runner.now() + LISTENING;
@@ -115,15 +102,15 @@ async fn who_answers<R: AsyncRunner<N>, const N: usize>(
         is_noisy |= runner.master().garbled() != garbled;
     }
     if is_noisy {
-        return Ok(Who::Noise);
+        return Err(BringUpError::Noise(id));
     }
     for _ in 0..ROUNDS {
         let (_, is_garbled) = hear(runner, other).await?;
         if !is_garbled {
-            return Ok(Who::Several);
+            return Err(BringUpError::IdShared(id));
         }
     }
-    Ok(Who::Nobody)
+    Ok(false)
 }
 
 /// Asks this id. Returns whether it answers, and whether anything came that is no frame.

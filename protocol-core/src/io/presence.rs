@@ -144,12 +144,8 @@ pub(super) async fn forget_silent_ones<R: AsyncRunner<N> + ?Sized, const N: usiz
     loop {
         let master = runner.master();
         let is_silent = |&motor: &MotorId| master.health(motor).last_seen.is_none();
-        let silent: MotorSet = master
-            .motors()
-            .iter()
-            .filter(|motor| motors.contains(*motor))
-            .filter(is_silent)
-            .collect();
+        let known = master.motors().iter().filter(|&motor| motors.contains(motor));
+        let silent: MotorSet = known.filter(is_silent).collect();
         let left: MotorSet = silent.iter().filter(|motor| !master.forget(*motor)).collect();
         let now = runner.now();
         if left.is_empty() || now >= end {

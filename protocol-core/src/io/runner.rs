@@ -17,17 +17,19 @@ use crate::time::{Duration, Instant};
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long a stop is tried for these motors, which have not confirmed it yet: up to three times [`LONGEST_STOP`], as long
-/// as one of them is heard every quarter of a second, or every second on RS485. On a slow line of many motors their
-/// confirmations take that long.
+/// as one of them is heard every quarter of a second, or any motor every second on RS485. On a slow line of many motors
+/// their confirmations take that long.
 pub fn longest_stop<const N: usize>(
     master: &Master<N>,
     motors: MotorSet,
     now: Instant,
 ) -> Duration {
-    // On a line dead motors may have many turns in a row.
-    let is_line = master.config().is_rs485();
-    let within = if is_line { LONGEST_STOP } else { Duration::from_millis(250) };
-    let mut seen = motors.iter().filter_map(|motor| master.health(motor).last_seen);
+    // On a line dead motors may have many turns in a row, or those that have confirmed.
+    let (who, within) = match master.config().is_rs485() {
+        true => (master.motors(), LONGEST_STOP),
+        false => (motors, Duration::from_millis(250)),
+    };
+    let mut seen = who.iter().filter_map(|motor| master.health(motor).last_seen);
     let is_any_heard = seen.any(|at| now - at < within);
     if is_any_heard { LONGEST_STOP.times(3) } else { LONGEST_STOP }
 }

@@ -369,7 +369,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         self.change_all(|motor, config| {
             if !is_before(newest, motor.ticket) {
-                motor.withdraw(config, now);
+                motor.withdraw(Failure::Dropped, config, now);
             }
         });
         if self.broadcast.is_waiting() && !self.broadcast.is_after(newest) {

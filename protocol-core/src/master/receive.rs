@@ -3,6 +3,7 @@
 use crate::command::{AnyReply, BusId, Command, ReadStatus1};
 use crate::data::Data;
 use crate::id::MotorId;
+use crate::kind::Kind;
 use crate::master::arbitration::LastReply;
 use crate::master::late::Question;
 use crate::master::motor::replies::{Heard, Meaning};
@@ -10,7 +11,7 @@ use crate::master::motor::reports::reported_bit;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::transmit::ForAll;
 use crate::master::{Event, Master, has_errors};
-use crate::opcode::{LOST_MASTER_BYTE, Opcode};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, ReplyRule};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
@@ -181,14 +182,13 @@ impl<const N: usize> Master<N> {
     /// An answer to the broadcast, a report, or anything else that nothing waits for.
     fn handle_unasked(&mut self, id: MotorId, packet: &Packet, is_doubled: bool) -> Event {
         // It may answer another master.
-        let opcode = if packet.is_motion() {
-            Some(Opcode::Motion)
-        } else {
-            Opcode::from_byte(packet.data[0])
+        let byte = packet.data[0];
+        let unknown = Kind::Raw { byte, reply: ReplyRule::Values, moves: true };
+        let kind = match packet.is_motion() {
+            true => Opcode::Motion.into(),
+            false => Opcode::from_byte(byte).map_or(unknown, Kind::Known),
         };
-        if let Some(opcode) = opcode {
-            self.change(id, |motor, _| motor.note_deed(opcode.into()));
-        }
+        self.change(id, |motor, _| motor.note_deed(kind));
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if packet.is_motion() {
             return self.stray(id, &packet.data);

@@ -316,7 +316,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         self.change(motor, |motor, config| {
             if motor.ticket == number {
-                motor.withdraw(config, now);
+                motor.withdraw(Failure::Dropped, config, now);
             }
         });
     }

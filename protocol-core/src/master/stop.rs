@@ -235,8 +235,11 @@ impl<const N: usize> Master<N> {
         }
         let is_it = |&it: &MotorId| {
             let says_so = self.lost_master.contains(it);
-            let may_be = |motor: &Motor| motor.may_be_held_again(self.is_stopped(it));
-            let is_loose = |motor: &Motor| motor.may_have_let_go(says_so) && may_be(motor);
+            let is_stopped = self.is_stopped(it);
+            let is_wanted = !is_stopped && self.broadcast.is_waiting();
+            let is_loose = |motor: &Motor| {
+                motor.may_have_let_go(says_so) && motor.may_be_held_again(is_stopped) && !is_wanted
+            };
             motors.contains(it) && self.motor(it).is_some_and(is_loose)
         };
         let loose: MotorSet = self.motors().iter().filter(is_it).collect();
@@ -457,7 +460,13 @@ impl<const N: usize> Master<N> {
         self.stop_to_all_was = Some(kind);
         let told = kind.question();
         let due = now + self.config.reply_timeout;
-        self.change_all(|motor, config| motor.stop_to_all_was_sent(told, due, config));
+        self.change_all(|motor, config| {
+            if !config.is_rs485() {
+                // Its answer counts as one to the motor's own stop.
+                motor.note_pause(0, now);
+            }
+            motor.stop_to_all_was_sent(told, due, config);
+        });
         if !self.config.is_rs485() {
             self.broadcast.stop_was_sent(told.kind, due, &self.config);
         }

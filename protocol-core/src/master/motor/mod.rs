@@ -209,12 +209,12 @@ impl Motor {
         }
     }
 
-    /// What a stop would refuse is not sent from now on, for the first time or again.
-    pub(super) fn withdraw(&mut self, config: &Config, now: Instant) {
+    /// What a stop would refuse is not sent from now on, for the first time or again. If it was never sent, it fails for
+    /// this reason: its caller has to know whether it was.
+    pub(super) fn withdraw(&mut self, never_sent: Failure, config: &Config, now: Instant) {
         let refused = |asked: &&Asked| asked.kind().is_refused_while_stopped();
         if let Some(asked) = self.request.asked().filter(refused) {
-            let was_sent = asked.unanswered > 0;
-            let why = if was_sent { Failure::NoReply } else { Failure::Dropped };
+            let why = if asked.unanswered > 0 { Failure::NoReply } else { never_sent };
             self.drop_request(why, config, now);
         }
     }

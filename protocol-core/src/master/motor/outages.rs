@@ -4,7 +4,6 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::health::SILENT_AFTER;
 use crate::master::motor::Motor;
-use crate::master::request::Asked;
 use crate::time::Instant;
 
 impl Motor {
@@ -18,7 +17,10 @@ impl Motor {
         }
         self.late.extend(now + config.late_window);
         self.on_its_way.extend(now, config);
-        self.drop_waiting(|asked| (!asked.is_stop()).then_some(Failure::BusDown), config, now);
+        self.drop_waiting_set_point();
+        if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
+            self.request_has_failed(Failure::BusDown, config, now);
+        }
     }
 
     /// The bus may be down: what waits is dropped if a stop would refuse it. Late replies come later if what has arrived
@@ -28,24 +30,9 @@ impl Motor {
             // Not for longer: errors that pause for one look would prolong it for ever.
             self.late.extend(now + config.reply_timeout);
         }
-        let why = |asked: &Asked| {
-            // Its caller has to know whether it was sent.
-            let why = if asked.unanswered > 0 { Failure::NoReply } else { Failure::BusDown };
-            asked.kind().is_refused_while_stopped().then_some(why)
-        };
-        self.drop_waiting(why, config, now);
-    }
-
-    /// Drops the set-point that waits, and a request if `why` returns a reason.
-    fn drop_waiting(
-        &mut self,
-        why: impl Fn(&Asked) -> Option<Failure>,
-        config: &Config,
-        now: Instant,
-    ) {
         self.drop_waiting_set_point();
-        if let Some(why) = self.request.waiting().and_then(why) {
-            self.request_has_failed(why, config, now);
+        if self.request.waiting().is_some() {
+            self.withdraw(Failure::BusDown, config, now);
         }
     }
 }

@@ -445,3 +445,14 @@ fn the_first_answer_after_a_pause_is_asked_for_again_if_it_equals_the_read() {
         }
     }
 }
+
+#[test]
+fn command_to_all_that_comes_back_after_the_loss_is_not_the_ignored_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    obeys(&mut master, 1);
+    master.broadcast(LockBrake, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(3)).unwrap();
+    reply(&mut master, 1, LockBrake.encode(), ms(4));
+    assert!(master.has_lost_master(id(1)), "it may ignore the next command");
+}

@@ -651,3 +651,19 @@ fn motor_first_heard_during_its_restart_has_restarted_once() {
         assert!(!master.has_restarted(id(1)), "first heard at {heard} ms");
     }
 }
+
+/// 1,010 ms is the run time of the first sending, at 1,000 ms.
+#[test]
+fn run_time_that_answers_an_earlier_sending_shows_no_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 900] {
+        let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+    }
+    let patience = Patience { attempts: 3, reply_timeout: Duration::from_millis(300) };
+    let _read = master.request_with(id(1), ReadRunTime, patience).unwrap();
+    assert_eq!(sent(&mut master, ms(1_000)).len(), 1);
+    assert_eq!(sent(&mut master, ms(1_300)).len(), 1);
+    reply(&mut master, 1, [0xB1, 0, 0, 0, 0xF2, 3, 0, 0], ms(1_301)).unwrap();
+    assert!(!master.has_restarted(id(1)));
+}

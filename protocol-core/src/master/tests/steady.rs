@@ -567,7 +567,7 @@ fn stop_that_is_sent_back_again_and_again_is_given_up() {
 /// The stop is lifted, and its caller wants something else, or has asked it for something since.
 #[test]
 fn motor_is_not_held_again_against_its_caller() {
-    let stories: [fn(&mut Master<2>, u64); 10] = [
+    let stories: [fn(&mut Master<2>, u64); 12] = [
         |master, now| master.set_point(id(1), torque(1.0), ms(now)).unwrap(),
         |master, _| _ = master.request(id(1), step()).unwrap(),
         |master, now| {
@@ -603,6 +603,13 @@ fn motor_is_not_held_again_against_its_caller() {
             let stray = motion_feedback(master, ms(now)).unwrap();
             assert!(matches!(stray, Event::Stray { .. }), "{stray:?}");
         },
+        // The same by a command that is not known here, such as 0x72 of V4.4.
+        |master, now| {
+            let stray = reply(master, 1, [0x72, 30, 0, 0, 0x10, 0, 7, 0], ms(now)).unwrap();
+            assert!(matches!(stray, Event::Stray { .. }), "{stray:?}");
+        },
+        // All are to move.
+        |master, _| master.broadcast(torque(1.0), id(1).into()).unwrap(),
         // Nobody speaks to it for as long as a restart takes.
         |master, now| {
             let _ = ask(master, 1, ReadStatus1, ms(now + 1_000));
@@ -794,4 +801,18 @@ fn motor_that_may_not_obey_yet_does_not_wait_for_silent_ones_on_a_line() {
     // First all that were not known to be silent.
     assert!(first.unwrap() <= 20 && last.unwrap() <= 23, "{first:?} {last:?}");
     assert!(confirmed_at.is_some());
+}
+
+/// A full controller or a slow host takes the motor's own stop later than that to all.
+#[test]
+fn answer_to_a_stop_of_all_behind_a_pause_confirms_nothing() {
+    let mut master = Master::<1>::new(Config::CAN);
+    answers(&mut master, 1..5);
+    master.handle_timeout(ms(200));
+    // Without a place for both, one stop goes to all.
+    assert!(master.stop_all(StopKind::Hold, [id(1), id(2)].into()).is_err());
+    assert_eq!(master.poll_transmit(ms(200)), Some(packet_to_all(Stop.encode())));
+    master.handle_transmitted(ms(200));
+    assert_eq!(reply(&mut master, 1, Stop.encode(), half_past(200)), None);
+    assert_eq!(answers_until(&mut master, Stop.encode(), 201, is_confirmed), 3);
 }

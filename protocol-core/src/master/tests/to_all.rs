@@ -824,3 +824,13 @@ fn set_point_handed_back_after_what_may_answer_a_broadcast_was_not_answered() {
     master.handle_pushed_out(&in_mailbox);
     assert_eq!(counted(&master), (0, 0));
 }
+
+#[test]
+fn move_to_all_does_not_follow_a_restart_whose_motor_is_resumed_at_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = master.request(id(1), Reset).unwrap();
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Reset.encode())]);
+    master.resume(id(1));
+    assert_eq!((1..100).flat_map(|now| sent(&mut master, ms(now))).count(), 0);
+}

@@ -771,3 +771,30 @@ fn streams_have_equal_shares_though_answers_wait_for_the_bus() {
         assert!(least * 100 >= most * 90, "{turns:?}");
     }
 }
+
+/// RS485: each stop is a turn, and the others rest meanwhile.
+#[test]
+fn motor_that_was_stopped_for_long_then_gets_as_many_turns_as_others() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let mut turns = [0; 2];
+    for now in 0..300 {
+        if now < 200 {
+            master.stop(id(1), StopKind::Hold).unwrap();
+        } else {
+            master.lift_stop();
+            (1..=2).for_each(|motor| {
+                master.set_point(id(motor), torque(1.0), ms(now)).unwrap();
+            });
+        }
+        master.handle_timeout(ms(now));
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+        let is_move = packet.data[0] == 0xA1;
+        turns[motor.index()] += u32::from(is_move);
+        let data = if is_move { TORQUE_REPLY } else { packet.data };
+        says(&mut master, motor.get(), data, ms(now) + Duration::from_micros(800));
+        while master.poll_event().is_some() {}
+    }
+    assert!(turns.iter().all(|&turns| turns > 30), "{turns:?}");
+}
