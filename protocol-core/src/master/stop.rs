@@ -463,7 +463,7 @@ impl<const N: usize> Master<N> {
         self.change_all(|motor, config| {
             if !config.is_rs485() {
                 // Its answer counts as one to the motor's own stop.
-                motor.note_pause(0, now);
+                motor.may_begin_anew(0, now);
             }
             motor.stop_to_all_was_sent(told, due, config);
         });

@@ -57,8 +57,9 @@ impl Motor {
         now - self.sent.min(self.health.heard_at())
     }
 
+    /// The same, whatever the pause.
     #[inline(never)]
-    fn may_begin_anew(&mut self, on_line: u32, now: Instant) {
+    pub(crate) fn may_begin_anew(&mut self, on_line: u32, now: Instant) {
         if self.health.last_seen().is_none() {
             return;
         }
