@@ -76,6 +76,9 @@ impl Motor {
         config: &Config,
         now: Instant,
     ) -> bool {
+        if self.late.is_empty() {
+            return false;
+        }
         let is_one_late = self.late.prolong(question, now, config);
         if is_one_late && !config.is_rs485() {
             self.may_move_until_answered(now, config);
