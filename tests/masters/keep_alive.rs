@@ -669,11 +669,17 @@ fn motors_on_a_slow_line_hold_while_two_with_one_id_answer_at_once() {
 /// for two seconds, they have to do so again, and others of them are heard while the last wait for their turn.
 #[test]
 fn stops_of_a_long_line_behind_a_slow_adapter_are_confirmed_by_all() {
-    for motors in [16, 20, 32] {
-        let bus = Fleet::new(motors).on_rs485(115_200).unwrap();
-        let config = Config::rs485(115_200, false).adapting_up_to(millis(40));
+    let behind_bursts = Config::rs485(115_200, false).adapting_up_to(millis(40));
+    let slow = Config::rs485(9_600, false);
+    for (motors, rate, config, burst) in [
+        (16, 115_200, behind_bursts, millis(16)),
+        (20, 115_200, behind_bursts, millis(16)),
+        (32, 115_200, behind_bursts, millis(16)),
+        (32, 9_600, slow, Duration::ZERO),
+    ] {
+        let bus = Fleet::new(motors).on_rs485(rate).unwrap();
         let (mut runner, station) = Rs485Line::runner::<32>(&bus.world, config);
-        bus.world.hand_over_every(station, millis(16));
+        bus.world.hand_over_every(station, burst);
         let all: MotorSet = (1..=motors).map(id).collect();
         assert_eq!(runner.stop_all(StopKind::Hold, all), MotorSet::EMPTY, "{motors}");
         let later = runner.now() + millis(2_000);
@@ -685,7 +691,7 @@ fn stops_of_a_long_line_behind_a_slow_adapter_are_confirmed_by_all() {
 /// Each look at a dead motor takes a time-out, many in a row. The living ones are confirmed all the same.
 #[test]
 fn first_stop_of_a_slow_line_with_dead_motors_is_confirmed_by_the_others() {
-    for dead in [8, 16] {
+    for dead in [8, 16, 24, 28, 31] {
         let bus = Fleet::new(32).on_rs485(9_600).unwrap();
         let (mut runner, _) = Rs485Line::runner::<32>(&bus.world, Config::rs485(9_600, false));
         for drive in &bus.drives[32 - dead..] {

@@ -272,8 +272,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Stops all motors that were spoken to and those of `also`, before anything else is sent. Waits until each has
-    /// confirmed it or is known not to, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP), or
-    /// [three](myactuator_protocol_core::io::longest_stop) if they answer on a slow line. Returns those that have not
+    /// confirmed it or is known not to, for up to [a second or
+    /// three](myactuator_protocol_core::io::longest_stop), on a slow line for longer. Returns those that have not
     /// confirmed it: **cut their power**. If the driver of the bus keeps its thread for 2 s, these are all ids. A motor
     /// that a stop in force has [switched off](Self::switched_off) stays off, also if this one is to hold it, and
     /// confirms that: it holds nothing. Whatever waits that may move a motor is dropped, whichever thread it is from,

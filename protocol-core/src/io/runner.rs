@@ -12,26 +12,33 @@ use crate::io::polled::Polled;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
-/// How long a stop of all motors is tried if none of them answers, measured by [`Elapsed`](crate::io::Elapsed): a
-/// program that was suspended meanwhile goes on with the stop.
+/// How long a stop is tried if no motor answers, measured by [`Elapsed`](crate::io::Elapsed): a program that was
+/// suspended meanwhile goes on with the stop. On a slow RS485 line it is [longer](longest_stop).
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// How long a stop is tried for these motors, which have not confirmed it yet: up to three times [`LONGEST_STOP`], as long
-/// as one of them is heard every quarter of a second, or any motor every second on RS485. On a slow line of many motors
-/// their confirmations take that long.
+/// How long a stop is tried for these motors, which have not confirmed it yet: [`LONGEST_STOP`], or on RS485, where
+/// motors take turns, twice a stop's time-out for each, if that is longer. If one of them was heard within the last
+/// quarter of a second, or on RS485 any motor within that time, it is three times as long.
+///
+/// The time-out is [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms if that is shorter. So 32
+/// motors at 115200 bit/s have a second or three, and at 9600 bit/s some two seconds or six.
 pub fn longest_stop<const N: usize>(
     master: &Master<N>,
     motors: MotorSet,
     now: Instant,
 ) -> Duration {
     // On a line dead motors may have many turns in a row, or those that have confirmed.
-    let (who, within) = match master.config().is_rs485() {
-        true => (master.motors(), LONGEST_STOP),
-        false => (motors, Duration::from_millis(250)),
+    let (who, within, longest) = match master.config().is_rs485() {
+        true => {
+            let two_turns = master.stop_timeout().times(2 * master.motors().len() as u32);
+            let longest = LONGEST_STOP.max(two_turns);
+            (master.motors(), longest, longest)
+        }
+        false => (motors, Duration::from_millis(250), LONGEST_STOP),
     };
     let mut seen = who.iter().filter_map(|motor| master.health(motor).last_seen);
     let is_any_heard = seen.any(|at| now - at < within);
-    if is_any_heard { LONGEST_STOP.times(3) } else { LONGEST_STOP }
+    if is_any_heard { longest.times(3) } else { longest }
 }
 
 /// How long a question waits for its turn at most. An earlier request ends sooner, except a stop that waits for a bus
@@ -173,9 +180,9 @@ pub trait Runner<const N: usize> {
     /// Stops one motor, waits until it has confirmed or has failed to, and returns whether it has. If not, **cut its
     /// power**. See [`Master::stop`].
     ///
-    /// - This may take [up to a second or three](longest_stop), as [`stop_all`](Self::stop_all) may, in which the
-    ///   others get no set-points. In a control loop call [`Master::stop`], take the event, and leave the motor out of
-    ///   the stream and the [`Watch`](crate::io::Watch).
+    /// - This may take [up to a second or three](longest_stop), on a slow line more, in which the others get no
+    ///   set-points. In a control loop call [`Master::stop`], take the event, and leave the motor out of the stream and
+    ///   the [`Watch`](crate::io::Watch).
     /// - Until [`Master::lift_stop_of`] whatever may move the motor is refused.
     /// - An error of the bus does not end the stop, as with [`stop_all`](Self::stop_all).
     /// - A motor that was switched off by a stop that is still in force stays off. It confirms [`StopKind::Hold`], too.
@@ -189,8 +196,8 @@ pub trait Runner<const N: usize> {
     ///
     /// - A motor that this master has never spoken to has no place, and is not among those returned: name it in `also`.
     ///   If the master has spoken to no motor and `also` is empty, so is the result.
-    /// - An error of the bus does not end the stop. It is tried for [up to a second or three](longest_stop), in the
-    ///   hope that the bus comes back.
+    /// - An error of the bus does not end the stop. It is tried for [up to a second or three](longest_stop), on a
+    ///   slow line for longer, in the hope that the bus comes back.
     /// - On RS485 it goes after the exchange under way, but waits for that no longer than 50 ms.
     /// - It takes some 15 reply time-outs if a motor does not confirm. Meanwhile the others are asked, so that their
     ///   communication-loss protection (0xB3) lets none go. On RS485 each of these turns comes after a time-out of the

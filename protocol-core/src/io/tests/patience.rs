@@ -2,13 +2,14 @@
 
 use embedded_io::ReadReady as _;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_rs485};
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485};
 use super::{id, step};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
 use crate::io::{
-    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, Clock, HalfDuplex, Runner, SerialMaster,
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CanMaster, Clock, HalfDuplex, Runner,
+    SerialMaster, longest_stop,
 };
-use crate::master::{Patience, StopKind};
+use crate::master::{Config, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
@@ -32,7 +33,7 @@ fn borrowed_clock_returns_the_same_time() {
 fn borrowed_controller_sends_and_receives() {
     let clock = TestClock::default();
     let mut bus = TestCan::new(&clock);
-    let mut arm = AsyncCanMaster::<_, _, 4>::new(&mut bus, clock, crate::master::Config::CAN);
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(&mut bus, clock, Config::CAN);
     assert_eq!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap().angle.degrees(), 360.0);
 }
 
@@ -116,4 +117,41 @@ fn a_port_with_a_direction_pin_says_whether_bytes_have_come() {
     assert_eq!(line.read_ready(), Ok(false));
     port.hear(&[0x3E]);
     assert_eq!(line.read_ready(), Ok(true));
+}
+
+#[test]
+fn on_can_a_stop_is_tried_for_longer_while_a_motor_that_it_waits_for_is_heard() {
+    let (_, clock, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let _ = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
+    let heard = clock.now();
+    let mut longest = |motor, after| {
+        longest_stop(arm.master(), MotorSet::from(id(motor)), heard + Duration::from_millis(after))
+    };
+    assert_eq!(longest(1, 249), Duration::from_secs(3));
+    assert_eq!(longest(1, 250), Duration::from_secs(1));
+    assert_eq!(longest(2, 0), Duration::from_secs(1));
+}
+
+#[test]
+fn on_a_line_a_stop_is_tried_for_longer_if_motors_are_many_and_while_any_is_heard() {
+    let longest = |rate, motors: u8| {
+        let mut master = Master::<32>::new(Config::rs485(rate, false));
+        for motor in 1..=motors {
+            let _ = master.request(id(motor), ReadMultiTurnAngle).unwrap();
+        }
+        longest_stop(&master, MotorSet::ALL, Instant::ZERO)
+    };
+    assert_eq!(longest(115_200, 32), Duration::from_secs(1));
+    // A time-out: 5 ms and two frames of 13 bytes of 10 bits, each rounded up to a microsecond.
+    assert_eq!(longest(9_600, 32), Duration::from_micros(2 * 32 * (5_000 + 2 * 13_542)));
+    let (_, clock, mut arm) = serial();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let _ = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
+    let heard = clock.now();
+    let mut longest = |after| {
+        longest_stop(arm.master(), MotorSet::from(id(2)), heard + Duration::from_millis(after))
+    };
+    assert_eq!(longest(999), Duration::from_secs(3));
+    assert_eq!(longest(1_000), Duration::from_secs(1));
 }
