@@ -106,7 +106,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock. The configuration has to say if the clock is
     /// [coarse](Config::for_clock_step).
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, pump: Pump::new(config), received: None }
+        Self { can, clock, pump: Pump::new(config.on_can()), received: None }
     }
 
     /// Returns the controller and the clock.

@@ -42,6 +42,7 @@ pub struct AsyncSerialMaster<S: ErrorType, K, const N: usize> {
 impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
+        let config = config.on_line();
         let (pump, line) = (Pump::new(config), Line::new(&config));
         Self { serial, clock, pump, line, read: None, unflushed: false }
     }

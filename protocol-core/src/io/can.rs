@@ -35,7 +35,7 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock. The configuration has to say if the clock is
     /// [coarse](Config::for_clock_step).
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, pump: Pump::new(config) }
+        Self { can, clock, pump: Pump::new(config.on_can()) }
     }
 
     /// Returns the controller and the clock.

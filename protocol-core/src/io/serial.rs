@@ -26,6 +26,7 @@ pub struct SerialMaster<S, K, const N: usize> {
 impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
+        let config = config.on_line();
         Self { serial, clock, pump: Pump::new(config), line: Line::new(&config) }
     }
 

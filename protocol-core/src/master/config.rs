@@ -45,7 +45,8 @@ const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Config {
-    /// The bus.
+    /// The bus. A [loop](crate::io) on the other kind of bus takes the configuration as one for its own, with these
+    /// time-outs.
     pub bus: Bus,
     /// Which revision of the protocol the motors speak. It decodes what comes without a typed request: feedback,
     /// reports, answers to broadcasts.
@@ -174,6 +175,20 @@ impl Config {
             longest_response: Duration::from_micros(longest_us),
             ..self
         }
+    }
+
+    /// For a loop on CAN.
+    pub(crate) const fn on_can(self) -> Self {
+        Self { bus: Bus::Can, ..self }
+    }
+
+    /// For a loop on RS485. What a configuration for CAN does not say is that of 115200 bit/s.
+    pub(crate) const fn on_line(self) -> Self {
+        if self.is_rs485() {
+            return self;
+        }
+        let Self { bus, frame_time, shortest_response, .. } = Self::rs485(115_200, false);
+        Self { bus, frame_time, shortest_response, ..self }
     }
 
     pub(crate) const fn is_rs485(&self) -> bool {

@@ -9,7 +9,7 @@ use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CanMaster, Clock, HalfDuplex, Runner,
     SerialMaster, longest_stop,
 };
-use crate::master::{Config, Master, MotorSet, Patience, StopKind};
+use crate::master::{Bus, Config, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
@@ -154,4 +154,22 @@ fn on_a_line_a_stop_is_tried_for_longer_if_motors_are_many_and_while_any_is_hear
     };
     assert_eq!(longest(999), Duration::from_secs(3));
     assert_eq!(longest(1_000), Duration::from_secs(1));
+}
+
+#[test]
+fn a_configuration_for_the_other_bus_is_taken_as_one_for_this_bus() {
+    let clock = TestClock::default();
+    let (can, line) = (TestCan::new(&clock), TestSerial::new(&clock));
+    let for_line = Config::rs485(115_200, true);
+    let mut arm = CanMaster::<_, _, 4>::new(can.clone(), clock.clone(), for_line);
+    assert_eq!(*arm.master().config(), Config { bus: Bus::Can, ..for_line });
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(can, clock.clone(), for_line);
+    assert_eq!(*arm.master().config(), Config { bus: Bus::Can, ..for_line });
+
+    let Config { bus, frame_time, shortest_response, .. } = Config::rs485(115_200, false);
+    let on_line = Config { bus, frame_time, shortest_response, ..Config::CAN };
+    let mut arm = SerialMaster::<_, _, 4>::new(line.clone(), clock.clone(), Config::CAN);
+    assert_eq!(*arm.master().config(), on_line);
+    let mut arm = AsyncSerialMaster::<_, _, 4>::new(line, clock, Config::CAN);
+    assert_eq!(*arm.master().config(), on_line);
 }
