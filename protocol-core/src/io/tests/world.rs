@@ -25,16 +25,22 @@ const STEP: u64 = 50;
 /// How long a drive takes to answer.
 const RESPONSE: u64 = 800;
 
+/// A loop that idles this often in a row without letting the time go on spins.
+const MOST_IDLES: u32 = 1_000;
+
 #[derive(Clone, Debug, Default)]
-pub(super) struct TestClock(Rc<Cell<u64>>);
+pub(super) struct TestClock {
+    micros: Rc<Cell<u64>>,
+    idles: Rc<Cell<u32>>,
+}
 
 impl TestClock {
     pub(super) fn micros(&self) -> u64 {
-        self.0.get()
+        self.micros.get()
     }
 
     pub(super) fn advance(&self, micros: u64) {
-        self.0.set(self.0.get() + micros);
+        self.micros.set(self.micros() + micros);
     }
 
     fn step_towards(&self, until: Instant) {
@@ -48,6 +54,8 @@ impl Clock for TestClock {
     }
 
     fn idle(&self, until: Instant) {
+        self.idles.set(if until > self.now() { 0 } else { self.idles.get() + 1 });
+        assert!(self.idles.get() < MOST_IDLES, "the loop spins");
         self.step_towards(until);
     }
 }
