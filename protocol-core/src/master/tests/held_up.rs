@@ -91,3 +91,14 @@ fn reads_and_stops_wait_through_a_suspension() {
     reply(&mut master, 1, [0x9C, 0, 0, 0, 0, 0, 0, 0], AN_HOUR);
     assert_eq!(sent(&mut master, AN_HOUR + Duration::from_millis(1)).len(), 1);
 }
+
+/// Its caller wants that: a move has one attempt unless a caller gives it more.
+#[test]
+fn move_of_several_attempts_in_flight_goes_again_though_receiving_has_failed_for_a_moment() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let twice = Patience { attempts: 2, ..once(20) };
+    let _move = master.request_with(id(1), step(), twice).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.bus_may_be_down(ms(1), ms(1));
+    assert_eq!(sent(&mut master, ms(20)), [packet_to(1, step().encode())]);
+}
