@@ -53,6 +53,7 @@ on_both_buses! {
     brake_is_open_when_its_release_returns
     brake_opens_under_a_short_protection
     a_brake_opens_though_its_drive_had_lost_its_master
+    motor_that_has_restarted_does_not_move_on_when_its_brake_is_released
     brake_of_a_motor_with_an_error_is_not_opened
     load_does_not_sink_while_its_brake_opens_and_locks
     a_load_that_is_too_heavy_for_the_motor_is_caught_by_the_brake
@@ -600,6 +601,20 @@ fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     assert!(state(drive).communication_lost);
     assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
     assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
+}
+
+/// A locked brake may be all that has been seen of the restart. The turns are lost.
+fn motor_that_has_restarted_does_not_move_on_when_its_brake_is_released<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    bring_up::release_brake(runner, id(1)).expect("it has a brake");
+    listen(runner, millis(100));
+    bus.world.reset(drive.station());
+    let status = runner.ask(id(1), ReadStatus1).expect("it is back at once");
+    assert_eq!(status.brake, BrakeCommand::LOCK);
+    assert!(!runner.master().has_restarted(id(1)));
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    assert!(runner.master().has_restarted(id(1)));
 }
 
 fn brake_of_a_motor_with_an_error_is_not_opened<W: Wire>() {

@@ -1,8 +1,8 @@
 //! Opens and locks a holding brake so that no load falls.
 
 use crate::command::{
-    BrakeCommand, Command, Feedback, LockBrake, ReadStatus1, ReadStatus2, ReleaseBrake, Shutdown,
-    Status1, Stop,
+    BrakeCommand, Command, Feedback, LockBrake, ReadRunTime, ReadStatus1, ReadStatus2,
+    ReleaseBrake, Shutdown, Status1, Stop,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -37,8 +37,11 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
 ) -> Result<(), BringUpError<B::Error>> {
-    // A drive that has lost its master obeys the third command (2.31.1).
-    insist(bus, motor, ReadStatus1).await?;
+    // A drive that has lost its master obeys the third command (2.31.1). What the first reads shows the master whether
+    // the motor has restarted: then it does not move on.
+    if bus.ask(motor, ReadRunTime).await.is_err() {
+        insist(bus, motor, ReadStatus1).await?;
+    }
     let before = insist(bus, motor, ReadStatus1).await?;
     if !before.errors.is_empty() {
         if before.brake != BrakeCommand::LOCK {

@@ -233,6 +233,9 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
 /// turn the shaft, this waits until the motor has brought it to rest, and locks the brake again if that takes more than
 /// half a second. To let the shaft turn freely, send [`Shutdown`](crate::command::Shutdown) afterwards.
 ///
+/// The motor is first asked for its run time (0xB1): one that has [restarted](crate::master::Event::Restarted) unnoticed
+/// is not moved on by a later set-point.
+///
 /// Call this before speed and position commands, too. Simulated drives open their brakes for those on their own; the
 /// manual does not say whether real ones do.
 ///

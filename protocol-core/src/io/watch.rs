@@ -45,8 +45,12 @@ pub enum Trouble {
         "motor {0} has cut its output: it had heard nothing for longer than its protection allows"
     )]
     LostMaster(MotorId),
-    /// The drive reports (0x9A) that it was last told to lock its brake, which [has to be open](Watch::open_brakes).
-    #[error("motor {0} reports a locked brake: the loop would work against it")]
+    /// The drive reports (0x9A) that it was last told to lock its brake, which [has to be open](Watch::open_brakes). It
+    /// may have restarted just now: then its turns may be lost, too. Open its brake by
+    /// [`release_brake`](crate::io::bring_up::release_brake), which finds that out.
+    #[error(
+        "motor {0} reports a locked brake, against which the loop would work; if it has restarted, its turns may be lost"
+    )]
     BrakeLocked(MotorId),
     /// A question of the watch had no answer for ten times [`Watch::longest_silence`], so the state of the motor is not
     /// known. Or its answer was not [noted](Watch::note), or the motor was busy at every look.

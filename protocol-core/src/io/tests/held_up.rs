@@ -355,9 +355,9 @@ fn waits_for_a_motor_that_is_not_there_end_soon_after_their_time() {
         bring_up::wait_until_there(arm, id(9), Duration::from_millis(200)).unwrap_err();
     });
     assert!((200..300).contains(&there), "{there}");
-    // A load may depend on what its brake says: that is insisted on for 300 ms.
+    // It is asked for its run time. A load may depend on what its brake says: that is insisted on for 300 ms.
     let brake = took_ms(&|arm| {
         bring_up::release_brake(arm, id(9)).unwrap_err();
     });
-    assert!((300..500).contains(&brake), "{brake}");
+    assert!((360..560).contains(&brake), "{brake}");
 }
