@@ -265,6 +265,8 @@ impl Oracle {
             Failure::NotExecuted if of.ignored > 0 || truth.flips => true,
             // A command that comes back unchanged was handed back, if it is no echo.
             Failure::NotExecuted if is_echo_for_answer(motor, &open.data, truth) => true,
+            // It is not sent more often to a motor that was never spoken to steadily.
+            Failure::NotExecuted if open.data[0] == STOP && of.taken >= 15 => true,
             // The drive ignored another command, unnoticed. An acknowledgement looks like a command that is handed
             // back.
             Failure::NotExecuted => {

@@ -96,6 +96,9 @@ pub enum Failure {
     /// The drive had lost its master and answered without doing anything (it does so once after its 0xF1 frames).
     /// Commands that may be sent again were sent again; this one may not. If a drive acknowledges with the command's
     /// own bytes, it may have been executed after all: both look alike.
+    ///
+    /// Also of a command to hold (0x81) that the motor has answered each time, with a pause of more than 150 ms before
+    /// each: it may have lost its master in all of them.
     #[error(
         "the drive had lost its master and ignored the command: send it again if it is still wanted"
     )]

@@ -27,7 +27,8 @@ pub struct Health {
     pub presence: Presence,
     /// When anything was last heard of it; `None` if never.
     pub last_seen: Option<Instant>,
-    /// Time from a command's sending to its reply, averaged over some eight replies.
+    /// Time from a command's sending to its reply, averaged over some eight replies. One of more than 150 ms is left out
+    /// unless it was the first.
     pub round_trip: Duration,
     /// Replies that came in time. If a controller hands back a command for which a late reply may have been counted,
     /// one is subtracted.
@@ -42,8 +43,8 @@ pub struct Health {
     pub superseded: u16,
 }
 
-/// Longer ones count as this: the caller did not look in time.
-const LONGEST_ROUND_TRIP: Duration = Duration::from_millis(250);
+/// A longer one says only that the caller did not look in time, unless it was the first.
+const LONGEST_ROUND_TRIP_US: u64 = 150_000;
 pub(super) const SILENT_AFTER: u8 = 3;
 
 /// [`Health`] as it is stored, in less space.
@@ -90,10 +91,11 @@ impl Record {
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
         self.answered = self.answered.saturating_add(1);
         if let Some(round_trip) = round_trip {
-            let measured_us = round_trip.min(LONGEST_ROUND_TRIP).as_micros() as u32;
+            let measured_us = round_trip.as_micros();
             self.round_trip_us = match self.round_trip_us {
-                0 => measured_us,
-                average_us => average_us - average_us / 8 + measured_us / 8,
+                0 => measured_us.min(LONGEST_ROUND_TRIP_US) as u32,
+                average_us if measured_us > LONGEST_ROUND_TRIP_US => average_us,
+                average_us => average_us - average_us / 8 + measured_us as u32 / 8,
             };
         }
     }

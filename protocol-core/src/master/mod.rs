@@ -131,6 +131,7 @@ mod bursts;
 mod config;
 mod event;
 mod health;
+mod hold_again;
 mod late;
 mod motor;
 mod motor_set;

@@ -170,10 +170,11 @@ impl<const N: usize> Master<N> {
         // Also for a broadcast that is over: the same reply, doubled, answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
         let asked = asked.or(self.broadcast.question());
+        let sent = self.broadcast.sent_at();
         self.change(motor, |motor, _| {
             motor.last_answered = asked;
             if is_answer {
-                motor.answered(None);
+                motor.has_answered_with_all(sent);
             }
         });
         is_answer
@@ -181,14 +182,17 @@ impl<const N: usize> Master<N> {
 
     /// An answer to the broadcast, a report, or anything else that nothing waits for.
     fn handle_unasked(&mut self, id: MotorId, packet: &Packet, is_doubled: bool) -> Event {
-        // It may answer another master.
+        // It may answer another master, or be the last answer once more.
         let byte = packet.data[0];
         let unknown = Kind::Raw { byte, reply: ReplyRule::Values, moves: true };
         let kind = match packet.is_motion() {
             true => Opcode::Motion.into(),
             false => Opcode::from_byte(byte).map_or(unknown, Kind::Known),
         };
-        self.change(id, |motor, _| motor.note_deed(kind));
+        self.change(id, |motor, _| {
+            let last = motor.last_answered.filter(|last| last.is_answered_by(packet));
+            motor.note_deed(last.map_or(kind, |last| last.kind));
+        });
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if packet.is_motion() {
             return self.stray(id, &packet.data);

@@ -52,6 +52,8 @@ pub(super) struct Asked {
 pub(super) enum Proof {
     /// No answer yet.
     First,
+    /// Answered by a motor that [may not obey yet](crate::master::motor::steady): it is sent once more.
+    Unsteady,
     /// No certain answer: those that came may belong to earlier commands. It waits until none of these can come any
     /// more.
     WaitsForOwed,
@@ -70,6 +72,7 @@ impl Proof {
     pub(super) fn begun(self) -> Self {
         match self {
             Self::First | Self::WaitsForOwed => Self::First,
+            Self::Unsteady => Self::Unsteady,
             Self::Waits | Self::Second => Self::Second,
         }
     }
@@ -105,6 +108,13 @@ impl Asked {
     /// Whether this stop was not sent yet, or was handed back.
     pub(super) fn was_never_sent(&self) -> bool {
         self.attempts_left == STOP_ATTEMPTS
+    }
+
+    /// It holds and was answered, which does not count yet: it may be sent as often as a stop.
+    pub(super) fn goes_as_often_as_a_stop(&mut self) {
+        if !matches!(self.purpose, Purpose::Stop | Purpose::StopCalledAgain) {
+            self.attempts_left = STOP_ATTEMPTS - 1;
+        }
     }
 
     /// Whether it may be sent once more.

@@ -209,7 +209,7 @@ impl<const N: usize> Master<N> {
     }
 
     #[inline(never)]
-    fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
+    pub(super) fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         // A stop that goes once more automatically is what the motor was told last, for example by a request. No caller
         // has called for that as a stop, so it does not keep the motor off.
@@ -226,29 +226,6 @@ impl<const N: usize> Master<N> {
         });
     }
 
-    /// Tells those of these motors to hold again that have confirmed it and may have let go since. Whether they confirm it
-    /// again is reported as of any stop. Without a stop in force, only those that are [left to
-    /// hold](Motor::is_left_to_hold) and of which nobody wants anything.
-    pub(crate) fn hold_again(&mut self, motors: MotorSet) {
-        if self.is_end_of_all_waiting() {
-            return;
-        }
-        let is_it = |&it: &MotorId| {
-            let says_so = self.lost_master.contains(it);
-            let is_stopped = self.is_stopped(it);
-            let is_wanted = !is_stopped && self.broadcast.is_waiting();
-            let is_loose = |motor: &Motor| {
-                motor.may_have_let_go(says_so) && motor.may_be_held_again(is_stopped) && !is_wanted
-            };
-            motors.contains(it) && self.motor(it).is_some_and(is_loose)
-        };
-        let loose: MotorSet = self.motors().iter().filter(is_it).collect();
-        for motor in loose.iter() {
-            self.let_line_answer();
-            self.put_stop(motor, StopKind::Hold, Purpose::Stop);
-        }
-    }
-
     /// The motors that have confirmed their last stop, and have not let go since, as far as is known.
     pub(crate) fn stops_confirmed(&self) -> MotorSet {
         self.motors_whose(|stop| matches!(stop, LastStop::Confirmed(_)))
@@ -257,6 +234,14 @@ impl<const N: usize> Master<N> {
     /// The motors that have not confirmed it, and get it once more from time to time at best.
     pub(crate) fn stops_given_up(&self) -> MotorSet {
         self.motors_whose(|stop| matches!(stop, LastStop::Unconfirmed { .. }))
+    }
+
+    /// Whether a stop was sent to one of these motors less than three times without an answer, so that it has hardly had
+    /// its turn on a line.
+    pub(crate) fn is_any_stop_hardly_sent(&self, motors: MotorSet) -> bool {
+        let hardly = |asked: &Asked| asked.is_stop() && asked.unanswered < 3;
+        let is_it = |motor: &Motor| motor.request.under_way().is_some_and(hardly);
+        motors.iter().any(|motor| self.motor(motor).is_some_and(is_it))
     }
 
     fn motors_whose(&self, is_it: impl Fn(LastStop) -> bool) -> MotorSet {
@@ -314,7 +299,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether all motors are about to be told something that may be a different stop, or to let go.
-    fn is_end_of_all_waiting(&self) -> bool {
+    pub(super) fn is_end_of_all_waiting(&self) -> bool {
         self.broadcast.waiting().is_some_and(Kind::ends_motion)
     }
 
@@ -460,11 +445,10 @@ impl<const N: usize> Master<N> {
         self.stop_to_all_was = Some(kind);
         let told = kind.question();
         let due = now + self.config.reply_timeout;
+        let on_line = self.motors_on_line();
         self.change_all(|motor, config| {
-            if !config.is_rs485() {
-                // Its answer counts as one to the motor's own stop.
-                motor.may_begin_anew(0, now);
-            }
+            // On CAN its answer counts as one to the motor's own stop.
+            motor.may_begin_anew(on_line, now);
             motor.stop_to_all_was_sent(told, due, config);
         });
         if !self.config.is_rs485() {

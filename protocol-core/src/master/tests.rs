@@ -15,6 +15,7 @@ mod odd_orders;
 mod pushed_out;
 mod reports;
 mod restarts;
+mod seldom;
 mod steady;
 mod stopped_twice;
 mod stops;

@@ -284,7 +284,16 @@ impl Motor {
                 return Meaning::Nothing;
             }
             if StopKind::by(kind) == Some(StopKind::Hold) && !self.is_steady() {
-                self.request = Request::Waiting(asked);
+                if asked.proof != Proof::Unsteady {
+                    asked.proof = Proof::Unsteady;
+                    asked.goes_as_often_as_a_stop();
+                }
+                // With a long pause before each sending it never obeys for sure.
+                if asked.may_go_again() {
+                    self.request = Request::Waiting(asked);
+                } else {
+                    self.request_has_failed(Failure::NotExecuted, config, now);
+                }
                 return Meaning::Nothing;
             }
             self.note_motion_ended(kind);

@@ -128,6 +128,14 @@ impl Motor {
         }
     }
 
+    /// It has answered a command to all that was sent then: so it was spoken to.
+    pub(crate) fn has_answered_with_all(&mut self, sent: Instant) {
+        if !self.is_in_flight() {
+            self.sent = self.sent.max(sent);
+        }
+        self.answered(None);
+    }
+
     /// Whether it has confirmed that it holds, and may have let go since. Nothing has to be known of that while it is
     /// silent.
     pub(crate) fn may_have_let_go(&self, says_so: bool) -> bool {

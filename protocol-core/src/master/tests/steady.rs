@@ -816,3 +816,30 @@ fn answer_to_a_stop_of_all_behind_a_pause_confirms_nothing() {
     assert_eq!(reply(&mut master, 1, Stop.encode(), half_past(200)), None);
     assert_eq!(answers_until(&mut master, Stop.encode(), 201, is_confirmed), 3);
 }
+
+/// A drive answers a read of the caller's own twice. No other master has moved anything.
+#[test]
+fn answer_to_a_raw_read_that_comes_again_does_not_end_the_hold() {
+    for again_us in [100, 2_000, 200_000] {
+        let mut master = held();
+        master.lift_stop();
+        let bytes = [0x71, 0, 0, 0, 0, 0, 0, 0];
+        let _ = ask(&mut master, 1, RawCommand::new(bytes, ReplyRule::Values, false), ms(12));
+        reply(&mut master, 1, [0x71, 7, 0, 0, 0, 0, 0, 0], half_past(12)).unwrap();
+        let again = half_past(12) + Duration::from_micros(again_us);
+        reply(&mut master, 1, [0x71, 7, 0, 0, 0, 0, 0, 0], again);
+        let now = unanswered(&mut master, 250, 260);
+        answers(&mut master, [now]);
+        master.hold_again(MotorSet::ALL);
+        assert_eq!(sent(&mut master, ms(now + 1)), [packet_to(1, Stop.encode())], "{again_us}");
+    }
+}
+
+#[test]
+fn reads_to_all_do_not_keep_a_hold_back() {
+    let (mut master, now) = loose();
+    master.lift_stop();
+    master.broadcast(ReadStatus1, id(1).into()).unwrap();
+    master.hold_again(MotorSet::ALL);
+    assert!(sent(&mut master, ms(now)).contains(&packet_to(1, Stop.encode())));
+}
