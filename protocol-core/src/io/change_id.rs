@@ -46,6 +46,9 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     from: MotorId,
     to: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
+    check_not_stopped(runner, from)?;
+    // Both ids are spoken to. Nothing is written unless the master has places for them.
+    runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
     let (mut there, garbled) = (MotorSet::EMPTY, runner.master().garbled());
     find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
     let is_clean = |runner: &mut R| runner.master().garbled() == garbled;
@@ -63,12 +66,9 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     if is_had(runner, to, from).await? {
         return Err(BringUpError::IdTaken(to));
     }
-    // Both ids are spoken to. Nothing is written unless the master has places for them.
-    runner.master().has_places_for([from, to].into()).map_err(CallError::refused(to))?;
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }
-    check_not_stopped(runner, from)?;
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     switch_off(runner, from).await?;

@@ -82,15 +82,12 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
     let mut outage = None;
     let mut meant = MotorSet::ALL;
     if on_line {
-        stop_line(session, kind);
-        session.garbled_by_all = session.master.bus.garbled();
+        session.tell_all(|session| stop_line(session, kind));
         (meant, outage) = find_on_line(session);
     }
     if outage.is_none() {
         // A stop to all goes before it.
-        let garbled = session.master.bus.garbled();
-        outage = stop_each(session, kind, meant);
-        session.garbled_by_all += session.master.bus.garbled() - garbled;
+        outage = session.tell_all(|session| stop_each(session, kind, meant));
     }
     let confirmed = session.master.confirmed;
     // On CAN every id is meant: an id that was heard is a motor, and a silent one looks like none.
@@ -219,6 +216,7 @@ mod tests {
     use myactuator_protocol_core::units::{MaxTorque, Milliseconds, ReportInterval, SpeedTarget};
     use myactuator_protocol_core::{Channel, Opcode, Packet};
 
+    use super::super::session::ToStop;
     use super::super::simulated::{OtherMaster, Sends, to_first, typed};
     use super::*;
 
@@ -542,6 +540,24 @@ mod tests {
                 assert!(halt(&mut session, meant, kind).is_ok(), "{meant:?} {kind:?}");
             }
         }
+    }
+
+    #[test]
+    fn stop_on_rs485_of_motors_that_their_brakes_hold_reports_no_invalid_bytes() {
+        let fleet = Fleet::new(3).brakes(true).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let stopped = halt(&mut session, Target::All, StopKind::Hold).unwrap();
+        session.stopped(stopped).unwrap();
+        let message = of_others(&session, Target::All, stopped);
+        assert!(!message.contains("bytes arrive"), "{message}");
+    }
+
+    #[test]
+    fn stop_accepts_the_consent_that_it_does_not_need() {
+        assert_eq!(
+            typed::<ToStop>("--yes --id 3").motors.id,
+            Target::Motor(MotorId::new(3).unwrap())
+        );
     }
 
     #[test]

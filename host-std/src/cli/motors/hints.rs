@@ -70,6 +70,10 @@ impl Session {
                 self.other_rates()
             )),
             BringUpError::Call(error) => self.failed(error),
+            // The second answer may be one that counted as the echo.
+            BringUpError::IdShared(_) => {
+                Unfinished::Failed(format!("{error}{}", self.echo_told_of()))
+            }
             error => error.into(),
         }
     }
@@ -132,6 +136,14 @@ impl Session {
         if self.has_garbled() {
             report("note", NO_FRAME);
         }
+    }
+
+    /// Sends something to all motors. Their answers collide on a line, which says nothing about the line.
+    pub(super) fn tell_all<T>(&mut self, send: impl FnOnce(&mut Self) -> T) -> T {
+        let garbled = self.master.bus.garbled();
+        let result = send(self);
+        self.garbled_by_all += self.master.bus.garbled() - garbled;
+        result
     }
 
     const fn has_garbled(&self) -> bool {

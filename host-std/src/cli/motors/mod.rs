@@ -63,7 +63,7 @@ pub(super) enum Subcommand {
     ///
     /// Exit status: 0 stopped, 1 not, 2 wrong usage.
     #[command(after_help = paragraphs([OF_ALL, SERIAL, SIGNALS, HOLDS]))]
-    Stop(session::Motors),
+    Stop(session::ToStop),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
     /// The motors get the command and must confirm it. For 250 ms after that the program listens whether another program
@@ -75,7 +75,7 @@ pub(super) enum Subcommand {
     ///
     /// Exit status: 0 off, 1 not, 2 wrong usage.
     #[command(after_help = paragraphs([OF_ALL, SERIAL, SIGNALS]))]
-    Shutdown(session::Motors),
+    Shutdown(session::ToStop),
     Brake(brake::Arguments),
     Zero(zero::Arguments),
     Id(change_id::Arguments),
@@ -93,8 +93,8 @@ pub(super) fn run(subcommand: &Subcommand) -> Outcome {
         Subcommand::Speed(arguments) => speed::run(arguments),
         Subcommand::Torque(arguments) => torque::run(arguments),
         Subcommand::Motion(arguments) => motion::run(arguments),
-        Subcommand::Stop(arguments) => halt::stop(arguments),
-        Subcommand::Shutdown(arguments) => halt::shut_down(arguments),
+        Subcommand::Stop(arguments) => halt::stop(&arguments.motors),
+        Subcommand::Shutdown(arguments) => halt::shut_down(&arguments.motors),
         Subcommand::Brake(arguments) => brake::run(arguments),
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),

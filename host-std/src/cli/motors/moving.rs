@@ -177,7 +177,7 @@ impl Session {
                 true => MotorSet::EMPTY,
                 false => motors,
             },
-            _ => self.master.stop_all(kind, motors),
+            _ => self.tell_all(|session| session.master.stop_all(kind, motors)),
         }
     }
 

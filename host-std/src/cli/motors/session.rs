@@ -86,6 +86,16 @@ pub(in crate::cli) struct Motors {
     pub(super) id: Target,
 }
 
+/// Which motors are to be stopped.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ToStop {
+    #[command(flatten)]
+    pub(super) motors: Motors,
+    /// Accepted for scripts that give it to every command: a stop never asks.
+    #[arg(long = "yes", short = 'y')]
+    _yes: bool,
+}
+
 impl Consent {
     /// Fails if the user has not consented and cannot be asked.
     pub(super) fn check(self, bus: &BusAddress) -> Outcome {
@@ -334,8 +344,9 @@ impl Session {
         match bring_up::is_shared(&mut self.master, motor) {
             Ok(false) => Ok(()),
             Ok(true) => Err(Unfinished::Failed(format!(
-                "{} (one motor looks like two if another program asks it, too, or if its active reply (0xB6) is on: end that)",
-                shared(motor)
+                "{} (one motor looks like two if another program asks it, too, or if its active reply (0xB6) is on: end that){}",
+                shared(motor),
+                self.echo_told_of()
             ))),
             Err(error) => Err(self.failed(error)),
         }
@@ -399,6 +410,7 @@ mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{ErrorFlags, FunctionControl, Switch};
+    use myactuator_protocol_core::io::SerialMaster;
     use myactuator_protocol_core::opcode::ReplyRule;
     use myactuator_protocol_core::time::Duration;
 
@@ -450,6 +462,19 @@ mod tests {
         let outcome = refused(&Fleet::new(2).all_with_id(MotorId::MIN));
         let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
         assert!(message.starts_with("two motors seem to have id 1: connect only one"), "{message}");
+    }
+
+    /// The answer that counts as the echo of its command is missing, and others seem to be too many.
+    #[test]
+    fn adapter_that_does_not_echo_as_its_address_says_is_named_beside_two_motors() {
+        let port = Fleet::new(1).on_rs485(115_200).unwrap().world;
+        let config = Config::rs485(115_200, true);
+        let master = SerialMaster::new(port.port(), port.clock(), config);
+        let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+        session.address = "rs485:/dev/ttyUSB0@115200,echo".parse().unwrap();
+        let outcome = session.refuse_shared(MotorId::MIN);
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.contains("leave out ',echo'"), "{message}");
     }
 
     /// A motor that reports its errors on its own (function 3) has to be restarted for them.

@@ -728,6 +728,16 @@ fn without_places_for_both_ids_nothing_is_written() {
     let refused = CallError::refused(id(5))(RequestError::TooManyMotors { capacity: 4 });
     assert_eq!(changed, Err(BringUpError::Call(refused)));
     assert!(bus.sent().iter().all(|data| matches!(data[0], 0x9A | 0xB1)));
+    // Not even for the question who is there: the id that has no place is the new one, and no other that is asked.
+    arm.ask(id(1), ReadRunTime).unwrap();
+    let changed = bring_up::change_id(&mut arm, id(1), id(9));
+    let refused = CallError::refused(id(9))(RequestError::TooManyMotors { capacity: 4 });
+    assert_eq!(changed, Err(BringUpError::Call(refused)));
+    // The motor is stopped: that comes first.
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    let changed = bring_up::change_id(&mut arm, id(1), id(9));
+    let refused = CallError::refused(id(1))(RequestError::Stopped);
+    assert_eq!(changed, Err(BringUpError::Call(refused)));
 }
 
 /// A bus on which this motor hands function 5 back, so often.
