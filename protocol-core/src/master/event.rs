@@ -118,7 +118,9 @@ pub enum Failure {
     StopUnconfirmed,
     /// The bus carried nothing while the command waited, for the first time or to be sent again. With an
     /// [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is not done at its first poll, every request ends so.
-    #[error("the bus carried nothing, so the command was dropped")]
+    #[error(
+        "the bus carried nothing, so the command was dropped: check its wiring, its bit rate and the motors' power"
+    )]
     BusDown,
     /// Dropped before it was sent. A set-point: it waited too long, the bus carried nothing, or the motor was stopped
     /// or has restarted. Another command that a stop would refuse: its caller no longer waits for the outcome, or the

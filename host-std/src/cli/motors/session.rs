@@ -525,8 +525,8 @@ mod tests {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         fleet.world.cut(fleet.drives[0].station());
         let outcome = Session::on(&fleet).meant(Target::All);
-        let message = "the bus carried nothing, so the command was dropped";
-        assert_eq!(outcome, Err(Unfinished::Failed(message.to_owned())));
+        let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };
+        assert!(message.starts_with("the bus carried nothing, so the command was"), "{message}");
     }
 
     #[test]
