@@ -183,12 +183,13 @@ impl Config {
     }
 
     /// For a loop on RS485. What a configuration for CAN does not say is that of 115200 bit/s.
-    pub(crate) const fn on_line(self) -> Self {
-        if self.is_rs485() {
-            return self;
+    pub(crate) const fn on_line(mut self) -> Self {
+        const LINE: Config = Config::rs485(115_200, false);
+        if !self.is_rs485() {
+            (self.bus, self.frame_time) = (LINE.bus, LINE.frame_time);
+            self.shortest_response = LINE.shortest_response;
         }
-        let Self { bus, frame_time, shortest_response, .. } = Self::rs485(115_200, false);
-        Self { bus, frame_time, shortest_response, ..self }
+        self
     }
 
     pub(crate) const fn is_rs485(&self) -> bool {
