@@ -299,7 +299,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether all motors are about to be told something that may be a different stop, or to let go.
-    pub(super) fn is_end_of_all_waiting(&self) -> bool {
+    fn is_end_of_all_waiting(&self) -> bool {
         self.broadcast.waiting().is_some_and(Kind::ends_motion)
     }
 

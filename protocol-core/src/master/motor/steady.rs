@@ -130,7 +130,8 @@ impl Motor {
 
     /// It has answered a command to all that was sent then: so it was spoken to.
     pub(crate) fn has_answered_with_all(&mut self, sent: Instant) {
-        if !self.is_in_flight() {
+        // What is under way counts from its own sending.
+        if self.request.under_way().is_none() && self.stream.in_flight().is_none() {
             self.sent = self.sent.max(sent);
         }
         self.answered(None);
