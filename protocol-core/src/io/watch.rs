@@ -106,8 +106,8 @@ pub enum LoopError<E> {
 /// be heard again just in time: then the loop goes on against the brake, unless [its brake is
 /// watched](Self::open_brakes).
 ///
-/// It does not see another master that moves the motors, too. Its answers are counted in
-/// [`Health::stray`](crate::master::Health::stray).
+/// It does not see another master that moves the motors, too, nor a second motor with the id of one. The answers to that
+/// master, or those of that motor, are counted in [`Health::stray`](crate::master::Health::stray).
 ///
 /// It stops nothing itself: leave the loop through the stop, as a [`Guard`](crate::io::Guard) does.
 ///
