@@ -3,6 +3,7 @@
 use core::ops::ControlFlow;
 
 use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::bus::trace::{self, Record};
 use myactuator_host_std::sim::plant::Load;
@@ -699,5 +700,56 @@ fn first_stop_of_a_slow_line_with_dead_motors_is_confirmed_by_the_others() {
         }
         let unconfirmed = runner.stop_all(StopKind::Hold, MotorSet::ALL);
         assert_eq!(unconfirmed, (1..=32).skip(32 - dead).map(id).collect(), "{dead}");
+    }
+}
+
+/// A program that stops all again and again, as a pressed button does. Nobody spoke to the motors before for a while.
+#[test]
+fn a_stop_that_is_called_again_and_again_is_confirmed_by_all_of_a_line() {
+    for (motors, rate, every_ms, pause_ms) in
+        [(24, 115_200, 20, 300), (32, 115_200, 1, 300), (32, 115_200, 1, 0)]
+    {
+        let bus = Fleet::new(motors).on_rs485(rate).unwrap();
+        let config = Config::rs485(rate, false).adapting_up_to(millis(40));
+        let (mut runner, _) = Rs485Line::runner::<32>(&bus.world, config);
+        let all: MotorSet = (1..=motors).map(id).collect();
+        for motor in (0..3).flat_map(|_| all.iter()) {
+            runner.ask(motor, ReadStatus1).unwrap();
+        }
+        bus.world.run_for(millis(pause_ms));
+        let mut waiting = all;
+        for now_ms in 0..1_000 {
+            if now_ms % every_ms == 0 {
+                runner.master().stop_all(StopKind::Hold, all).unwrap();
+            }
+            while let Some(event) = runner.poll().unwrap() {
+                if let Event::StopConfirmed { motor } = event {
+                    waiting.remove(motor);
+                }
+            }
+            bus.world.run_for(millis(1));
+        }
+        assert_eq!(waiting, MotorSet::EMPTY, "{motors} {rate} {every_ms} {pause_ms}");
+    }
+}
+
+/// Dead motors take most of the time, and every tenth answer of the others is lost.
+#[test]
+fn living_motors_of_a_slow_line_that_loses_answers_confirm_their_stop() {
+    for (rate, dead, lose) in [(9_600, 1, 0.1), (9_600, 4, 0.1), (19_200, 4, 0.1)] {
+        for seed in 0..20 {
+            let bus = Fleet::new(16).seed(seed).on_rs485(rate).unwrap();
+            let (mut runner, _) = Rs485Line::runner::<32>(&bus.world, Config::rs485(rate, false));
+            for motor in (1..=16).map(id) {
+                runner.ask(motor, ReadStatus1).unwrap();
+            }
+            for drive in &bus.drives[..dead] {
+                bus.world.cut(drive.station());
+            }
+            let lossy = FaultPlan { lose, ..FaultPlan::NONE };
+            bus.world.set_faults(Direction::ToPorts, lossy);
+            let unconfirmed = runner.stop_all(StopKind::Hold, MotorSet::EMPTY);
+            assert_eq!(unconfirmed, (1..=16).take(dead).map(id).collect(), "{rate} {dead} {seed}");
+        }
     }
 }

@@ -17,11 +17,8 @@ use crate::time::{Duration, Instant};
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long a stop is tried for these motors, which have not confirmed it yet: [`LONGEST_STOP`], or on RS485, where
-/// motors take turns, twice a stop's time-out for each, if that is longer. It is three times as long in these cases:
-///
-/// - One of them was heard within the last quarter of a second.
-/// - On RS485, any motor was heard within the time that it is not three times as long, and one of these has hardly had
-///   its turn: its stop was sent less than three times without an answer.
+/// motors take turns, twice a stop's time-out for each, if that is longer. If one of them was heard within the last
+/// quarter of a second, or on RS485 any motor within that time, it is three times as long.
 ///
 /// The time-out is [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms if that is shorter. So 32
 /// motors at 115200 bit/s have a second or three, and at 9600 bit/s some two seconds or six.
@@ -30,18 +27,16 @@ pub fn longest_stop<const N: usize>(
     motors: MotorSet,
     now: Instant,
 ) -> Duration {
-    let is_any_heard = |motors: MotorSet, within| {
-        let mut seen = motors.iter().filter_map(|motor| master.health(motor).last_seen);
-        seen.any(|at| now - at < within)
-    };
-    let mut longest = LONGEST_STOP;
-    let mut goes_on = is_any_heard(motors, Duration::from_millis(250));
+    let (mut longest, mut who, mut within) = (LONGEST_STOP, motors, Duration::from_millis(250));
     if master.config().is_rs485() {
-        let all = master.motors();
-        longest = longest.max(master.stop_timeout().times(2 * all.len() as u32));
-        goes_on |= is_any_heard(all, longest) && master.is_any_stop_hardly_sent(motors);
+        // On a line dead motors may have many turns in a row, or those that have confirmed.
+        who = master.motors();
+        longest = longest.max(master.stop_timeout().times(2 * who.len() as u32));
+        within = longest;
     }
-    if goes_on { longest.times(3) } else { longest }
+    let mut seen = who.iter().filter_map(|motor| master.health(motor).last_seen);
+    let is_any_heard = seen.any(|at| now - at < within);
+    if is_any_heard { longest.times(3) } else { longest }
 }
 
 /// How long a question waits for its turn at most. An earlier request ends sooner, except a stop that waits for a bus

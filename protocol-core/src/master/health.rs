@@ -27,8 +27,8 @@ pub struct Health {
     pub presence: Presence,
     /// When anything was last heard of it; `None` if never.
     pub last_seen: Option<Instant>,
-    /// Time from a command's sending to its reply, averaged over some eight replies. One of more than 150 ms is left out
-    /// unless it was the first.
+    /// Time from a command's sending to its reply, averaged over some eight replies. One of more than 150 ms counts as
+    /// twice the average, or as 150 ms if that is shorter.
     pub round_trip: Duration,
     /// Replies that came in time. If a controller hands back a command for which a late reply may have been counted,
     /// one is subtracted.
@@ -43,7 +43,7 @@ pub struct Health {
     pub superseded: u16,
 }
 
-/// A longer one says only that the caller did not look in time, unless it was the first.
+/// A longer one may only say that the caller did not look in time: it counts as twice the mean, up to this.
 const LONGEST_ROUND_TRIP_US: u64 = 150_000;
 pub(super) const SILENT_AFTER: u8 = 3;
 
@@ -94,7 +94,9 @@ impl Record {
             let measured_us = round_trip.as_micros();
             self.round_trip_us = match self.round_trip_us {
                 0 => measured_us.min(LONGEST_ROUND_TRIP_US) as u32,
-                average_us if measured_us > LONGEST_ROUND_TRIP_US => average_us,
+                average_us if measured_us > LONGEST_ROUND_TRIP_US => {
+                    (average_us + average_us / 8).min(LONGEST_ROUND_TRIP_US as u32)
+                }
                 average_us => average_us - average_us / 8 + measured_us as u32 / 8,
             };
         }

@@ -170,11 +170,10 @@ impl<const N: usize> Master<N> {
         // Also for a broadcast that is over: the same reply, doubled, answers nothing else.
         let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
         let asked = asked.or(self.broadcast.question());
-        let sent = self.broadcast.sent_at();
         self.change(motor, |motor, _| {
             motor.last_answered = asked;
             if is_answer {
-                motor.has_answered_with_all(sent);
+                motor.answered(None);
             }
         });
         is_answer

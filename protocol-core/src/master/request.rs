@@ -20,6 +20,8 @@ pub(super) const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 pub(super) enum Purpose {
     /// A caller, who has a ticket for it.
     Caller,
+    /// A caller, who wants a motor to hold that has answered and may not obey yet: it has the attempts of a stop.
+    AnsweredEarly,
     /// A caller, but it is not sent again: the caller no longer waits for it, or it moves and all were told to end
     /// their motion since, or its motor has restarted.
     Once,
@@ -52,8 +54,6 @@ pub(super) struct Asked {
 pub(super) enum Proof {
     /// No answer yet.
     First,
-    /// Answered by a motor that [may not obey yet](crate::master::motor::steady): it is sent once more.
-    Unsteady,
     /// No certain answer: those that came may belong to earlier commands. It waits until none of these can come any
     /// more.
     WaitsForOwed,
@@ -72,7 +72,6 @@ impl Proof {
     pub(super) fn begun(self) -> Self {
         match self {
             Self::First | Self::WaitsForOwed => Self::First,
-            Self::Unsteady => Self::Unsteady,
             Self::Waits | Self::Second => Self::Second,
         }
     }
@@ -110,10 +109,14 @@ impl Asked {
         self.attempts_left == STOP_ATTEMPTS
     }
 
-    /// It holds and was answered, which does not count yet: it may be sent as often as a stop.
-    pub(super) fn goes_as_often_as_a_stop(&mut self) {
-        if !matches!(self.purpose, Purpose::Stop | Purpose::StopCalledAgain) {
-            self.attempts_left = STOP_ATTEMPTS - 1;
+    /// It is to hold, and was answered by a motor that [may not obey yet](crate::master::motor::steady).
+    pub(super) fn was_answered_early(&mut self) {
+        match self.purpose {
+            Purpose::Caller => {
+                (self.purpose, self.attempts_left) = (Purpose::AnsweredEarly, STOP_ATTEMPTS - 1);
+            }
+            Purpose::StopAgain => self.attempts_left = 1,
+            _ => {}
         }
     }
 

@@ -98,17 +98,17 @@ impl<const N: usize> Master<N> {
 
     /// Each motor's first stop goes before any second. On RS485 motors that were heard last time come first, since a
     /// motor that is not there occupies the line for the time-out of a stop. After the first stops, one that answers and
-    /// may not obey yet comes first, as it has to be spoken to steadily: the one that was sent something last. Among
-    /// equals of any other kind, the motor that was sent nothing for longest.
+    /// may not obey yet comes first, as it has to be spoken to steadily. Among equals, the motor that was sent nothing
+    /// for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
-            let sent_us = motor.sent.as_micros();
-            match (motor.waits_for_first_stop(), motor.seems_dead()) {
-                (true, is_dead) => (u8::from(is_dead), sent_us),
-                _ if !motor.is_steady() && !motor.was_missed() => (2, u64::MAX - sent_us),
-                _ => (3, sent_us),
-            }
+            let turn = match (motor.waits_for_first_stop(), motor.seems_dead()) {
+                (true, is_dead) => u8::from(is_dead),
+                _ if !motor.is_steady() && !motor.was_missed() => 2,
+                _ => 3,
+            };
+            (turn, motor.sent)
         };
         self.ready_stops().min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
     }
@@ -136,9 +136,9 @@ impl<const N: usize> Master<N> {
             || self.broadcast.is_waiting() && !self.has_given_way(motor) && self.broadcast_may_go()
     }
 
-    /// Whether a command to all was sent after this motor's last. If the motor has answered that, it counts as its last.
+    /// Whether a command to all was sent after this motor's last.
     fn has_given_way(&self, motor: &Motor) -> bool {
-        motor.sent <= self.told_all_at()
+        motor.sent < self.told_all_at()
     }
 
     /// CAN: whether a stop that was called again has given way to the last command to all, and so goes before the next.

@@ -236,14 +236,6 @@ impl<const N: usize> Master<N> {
         self.motors_whose(|stop| matches!(stop, LastStop::Unconfirmed { .. }))
     }
 
-    /// Whether a stop was sent to one of these motors less than three times without an answer, so that it has hardly had
-    /// its turn on a line.
-    pub(crate) fn is_any_stop_hardly_sent(&self, motors: MotorSet) -> bool {
-        let hardly = |asked: &Asked| asked.is_stop() && asked.unanswered < 3;
-        let is_it = |motor: &Motor| motor.request.under_way().is_some_and(hardly);
-        motors.iter().any(|motor| self.motor(motor).is_some_and(is_it))
-    }
-
     fn motors_whose(&self, is_it: impl Fn(LastStop) -> bool) -> MotorSet {
         // None of these has a stop under way.
         let all = self.at(self.places.taken).filter(|(_, motor)| is_it(motor.last_stop));
@@ -445,10 +437,12 @@ impl<const N: usize> Master<N> {
         self.stop_to_all_was = Some(kind);
         let told = kind.question();
         let due = now + self.config.reply_timeout;
-        let on_line = self.motors_on_line();
         self.change_all(|motor, config| {
-            // On CAN its answer counts as one to the motor's own stop.
-            motor.may_begin_anew(on_line, now);
+            // Its answer counts as one to the motor's own stop, but not on RS485. There motors that rest between their
+            // turns would have to be told three times anew, again and again.
+            if !config.is_rs485() {
+                motor.may_begin_anew(0, now);
+            }
             motor.stop_to_all_was_sent(told, due, config);
         });
         if !self.config.is_rs485() {

@@ -118,7 +118,7 @@ impl<const N: usize> Master<N> {
         }
         // An answer may come although nothing waits for it, and must not collide with a command.
         let mut silence = Duration::ZERO;
-        let on_line = self.motors_on_line();
+        let on_line = if self.config.is_rs485() { self.places.taken.count() } else { 0 };
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {
@@ -184,12 +184,6 @@ impl<const N: usize> Master<N> {
                 self.for_all = self.for_all.sent();
             }
         }
-    }
-
-    /// How many motors take turns on a line; none on CAN.
-    #[inline]
-    pub(super) fn motors_on_line(&self) -> u32 {
-        if self.config.is_rs485() { self.places.taken.count() } else { 0 }
     }
 
     /// No motor has had more turns than the pace says. A stop of a motor that has rested does not set it back.

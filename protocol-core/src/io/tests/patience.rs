@@ -154,16 +154,6 @@ fn on_a_line_a_stop_is_tried_for_longer_if_motors_are_many_and_while_any_is_hear
     };
     assert_eq!(longest(999), Duration::from_secs(3));
     assert_eq!(longest(1_000), Duration::from_secs(1));
-    // It has had its turns.
-    for (sendings, tried_for) in [(1, 3), (2, 3), (3, 1)] {
-        let later = arm.now() + Duration::from_millis(10);
-        arm.master().handle_timeout(later);
-        assert!(arm.master().poll_transmit(later).is_some());
-        arm.master().handle_transmitted(later);
-        clock.advance(10_000);
-        let longest = longest_stop(arm.master(), id(2).into(), later);
-        assert_eq!(longest, Duration::from_secs(tried_for), "{sendings}");
-    }
 }
 
 #[test]

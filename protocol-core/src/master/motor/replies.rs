@@ -284,10 +284,7 @@ impl Motor {
                 return Meaning::Nothing;
             }
             if StopKind::by(kind) == Some(StopKind::Hold) && !self.is_steady() {
-                if asked.proof != Proof::Unsteady {
-                    asked.proof = Proof::Unsteady;
-                    asked.goes_as_often_as_a_stop();
-                }
+                asked.was_answered_early();
                 // With a long pause before each sending it never obeys for sure.
                 if asked.may_go_again() {
                     self.request = Request::Waiting(asked);

@@ -128,15 +128,6 @@ impl Motor {
         }
     }
 
-    /// It has answered a command to all that was sent then: so it was spoken to.
-    pub(crate) fn has_answered_with_all(&mut self, sent: Instant) {
-        // What is under way counts from its own sending.
-        if self.request.under_way().is_none() && self.stream.in_flight().is_none() {
-            self.sent = self.sent.max(sent);
-        }
-        self.answered(None);
-    }
-
     /// Whether it has confirmed that it holds, and may have let go since. Nothing has to be known of that while it is
     /// silent.
     pub(crate) fn may_have_let_go(&self, says_so: bool) -> bool {

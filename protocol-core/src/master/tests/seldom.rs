@@ -54,21 +54,59 @@ fn request_to_hold_behind_a_slow_adapter_fails_in_the_end() {
     assert_eq!(hold.outcome(&failed), Some(Err(Failure::NotExecuted)));
 }
 
+/// A loop that gets to its motors every 160 ms. Each second, third, fourth or seventh answer is lost.
 #[test]
-fn motor_that_answers_commands_to_all_is_spoken_to_steadily() {
-    let mut master = Master::<1>::new(Config::CAN);
-    answers(&mut master, [1, 3, 5]);
-    for now in (10..400).step_by(10) {
+fn request_to_hold_ends_though_answers_are_lost_between() {
+    for lost in [2, 3, 4, 7] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let hold = master.request_with(id(1), Stop, Patience { attempts: 5, ..once(20) }).unwrap();
+        let (mut sendings, mut ended) = (0, None);
+        for now in (0..60_000).step_by(160).map(ms) {
+            ended = events(&mut master, now).first().copied();
+            let Some(packet) = master.poll_transmit(now).filter(|_| ended.is_none()) else { break };
+            master.handle_transmitted(now);
+            sendings += 1;
+            if sendings % lost > 0 {
+                ended = reply(&mut master, 1, packet.data, now + Duration::from_micros(700));
+            }
+        }
+        assert!(sendings <= 16, "{lost}: {sendings}");
+        let ended = ended.and_then(|event| hold.outcome(&event));
+        assert!(matches!(ended, Some(Err(_))), "{lost}: {ended:?}");
+    }
+}
+
+/// The first answer came after 20 ms, all others come after 200 ms.
+#[test]
+fn mean_round_trip_follows_a_link_that_has_become_slow() {
+    let slow =
+        Config { reply_timeout: Duration::from_millis(400), ..Config::rs485(115_200, false) };
+    let mut master = Master::<2>::new(slow);
+    let mut now = 0;
+    for takes in core::iter::once(20).chain([200; 30]) {
+        let _ = ask(&mut master, 1, ReadStatus1, ms(now));
+        now += takes;
+        says(&mut master, 1, STATUS_REPLY, ms(now)).unwrap();
+        now += 2;
+    }
+    assert_eq!(master.health(id(1)).round_trip, Duration::from_millis(150));
+}
+
+/// Its drive may have lost its master in the pause. A read of all ends the pause, and shows no more than any other.
+#[test]
+fn read_of_all_does_not_hide_the_pause_before_it() {
+    for pause in [200, 450, 1_000, 3_600_000] {
+        let mut master = Master::<2>::new(Config::CAN);
+        answers(&mut master, [1, 3, 5]);
+        let now = 5 + pause;
         master.broadcast(ReadStatus1, id(1).into()).unwrap();
         assert_eq!(sent(&mut master, ms(now)).len(), 1);
-        let answer = reply(&mut master, 1, STATUS_REPLY, ms(now + 1));
-        assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
+        reply(&mut master, 1, STATUS_REPLY, ms(now + 1)).unwrap();
         assert_eq!(events(&mut master, ms(now + 2)).len(), 1, "it is over");
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert_eq!(sent(&mut master, ms(now + 4)).len(), 1);
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(now + 5)), None, "{pause}");
     }
-    // There is no place for the second: so one stop goes to all, too.
-    assert!(master.stop_all(StopKind::Hold, [id(1), id(2)].into()).is_err());
-    assert_eq!(sent(&mut master, ms(400)).len(), 2);
-    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(401)), confirmed(1));
 }
 
 /// The answer to a read lies in the adapter while the program hangs. How long it lay there says nothing about how long
