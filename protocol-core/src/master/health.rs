@@ -118,9 +118,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_round_trip_is_the_mean() {
-        let mut record = Record::default();
-        record.count_answer(Some(Duration::from_micros(1000)));
-        assert_eq!(record.health(Presence::Unknown).round_trip, Duration::from_micros(1000));
+    fn the_first_round_trip_is_the_mean_up_to_150_ms() {
+        for (first, mean) in [(1, 1), (150, 150), (151, 150)] {
+            let mut record = Record::default();
+            record.count_answer(Some(Duration::from_millis(first)));
+            assert_eq!(record.round_trip(), Duration::from_millis(mean));
+        }
     }
 }

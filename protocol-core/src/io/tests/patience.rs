@@ -154,6 +154,19 @@ fn on_a_line_a_stop_is_tried_for_longer_if_motors_are_many_and_while_any_is_hear
     };
     assert_eq!(longest(999), Duration::from_secs(3));
     assert_eq!(longest(1_000), Duration::from_secs(1));
+    // Two turns of 32 motors of 50 ms each.
+    let slow = Config { reply_timeout: Duration::from_millis(50), ..Config::rs485(9_600, false) };
+    let port = TestSerial::new(&clock);
+    let mut arm = SerialMaster::<_, _, 32>::new(port, clock, slow);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    for motor in 2..=32 {
+        let _ = arm.master().request(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    let heard = arm.now();
+    let mut longest =
+        |after| longest_stop(arm.master(), id(2).into(), heard + Duration::from_millis(after));
+    assert_eq!(longest(3_199), Duration::from_millis(9_600));
+    assert_eq!(longest(3_200), Duration::from_millis(3_200));
 }
 
 #[test]

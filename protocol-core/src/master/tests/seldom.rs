@@ -43,6 +43,26 @@ fn hold_with_a_pause_before_each_sending_is_given_up() {
     assert_eq!(reported, (15, Event::StopUnconfirmed { motor: id(1) }));
 }
 
+/// It was silent until its stop was given up. It is told three times in a row, and not once every 100 ms.
+#[test]
+fn motor_that_is_back_is_told_to_hold_until_it_obeys_for_sure() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let mut now = 0;
+    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
+        sent(&mut master, ms(now));
+        now += 1;
+    }
+    while sent(&mut master, ms(now)).is_empty() {
+        now += 1;
+    }
+    for answer in 1..=3 {
+        let event = reply(&mut master, 1, Stop.encode(), ms(now + answer));
+        assert_eq!(event, confirmed(1).filter(|_| answer == 3), "{answer}");
+        assert_eq!(sent(&mut master, ms(now + answer)).len(), usize::from(answer < 3));
+    }
+}
+
 /// An adapter that keeps each answer for 160 ms.
 #[test]
 fn request_to_hold_behind_a_slow_adapter_fails_in_the_end() {
