@@ -42,6 +42,8 @@ use crate::wire::can::Received;
 use crate::wire::rs485::Frame;
 
 const ANGLE_REPLY: [u8; 8] = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
+/// A status without errors (2.14).
+const STATUS_REPLY: [u8; 8] = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
 /// Feedback of a torque (2.19).
 const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
@@ -118,6 +120,19 @@ fn once(millis: u64) -> Patience {
 fn obeys<const N: usize>(master: &mut Master<N>, motor: u8) {
     master.place_for(id(motor)).unwrap();
     master.change(id(motor), |motor, _| (0..3).for_each(|_| motor.note_there()));
+}
+
+/// Motor 1 is asked at these times, and answers half a millisecond later.
+fn answers<const N: usize>(master: &mut Master<N>, times: impl IntoIterator<Item = u64>) {
+    for now in times {
+        let read = ask(master, 1, ReadStatus1, ms(now));
+        let event = reply(master, 1, STATUS_REPLY, half_past(now)).unwrap();
+        assert!(read.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+    }
+}
+
+fn half_past(now: u64) -> Instant {
+    ms(now) + Duration::from_micros(500)
 }
 
 /// This motor was stopped and confirms no attempt from then on. Returns when that was reported.

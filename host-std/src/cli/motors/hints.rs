@@ -167,9 +167,8 @@ mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::ReadStatus1;
-    use myactuator_protocol_core::io::SerialMaster;
-    use myactuator_protocol_core::master::Config;
 
+    use super::super::simulated::echo_is_missing;
     use super::*;
 
     #[test]
@@ -229,11 +228,7 @@ mod tests {
 
     #[test]
     fn missing_configured_echo_is_named_when_a_reply_was_taken_for_it() {
-        let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
-        let config = Config::rs485(115_200, true);
-        let master = SerialMaster::new(world.port(), world.clock(), config);
-        let mut session = Session::by(AnyMaster::SimulatedRs485(master));
-        session.address = "rs485:/dev/ttyUSB0@115200,echo".parse().unwrap();
+        let mut session = echo_is_missing();
         session.ask(MotorId::MIN, ReadStatus1).unwrap();
         let outcome = session.release_brake(MotorId::MIN);
         let Err(Unfinished::Failed(message)) = outcome else { panic!("{outcome:?}") };

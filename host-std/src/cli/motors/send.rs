@@ -577,7 +577,9 @@ mod tests {
         else {
             panic!("it was not sent");
         };
-        assert!(message.starts_with("the bus carried nothing, so the command was"), "{message}");
+        let expected = "the bus carried nothing, so the command was dropped: check its wiring, its bit rate and the \
+                        motors' power";
+        assert_eq!(message, expected);
     }
 
     #[test]

@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use myactuator_host_std::open::AnyMaster;
-use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
+use myactuator_host_std::sim::{CanFleet, Fleet};
 use myactuator_protocol_core::command::Speed;
-use myactuator_protocol_core::io::{CanMaster, Runner as _};
+use myactuator_protocol_core::io::{CanMaster, Runner as _, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
@@ -21,6 +21,16 @@ use super::session::Session;
 pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
     let master = CanMaster::new(fleet.world.port(), fleet.world.clock(), config);
     Session::by(AnyMaster::SimulatedCan(master))
+}
+
+/// A session on a drive behind an adapter that does not echo, although the address says so.
+pub(super) fn echo_is_missing() -> Session {
+    let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
+    let config = Config::rs485(115_200, true);
+    let master = SerialMaster::new(world.port(), world.clock(), config);
+    let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+    session.address = "rs485:/dev/ttyUSB0@115200,echo".parse().unwrap();
+    session
 }
 
 /// A session whose motor 1 turns, after half a second at 180 dps.

@@ -146,8 +146,6 @@ fn line_waits_for_the_stop_answer_of_a_motor_forgotten_meanwhile() {
     assert_eq!(sent(&mut master, now), [], "the answer to the stop is due");
 }
 
-const STATUS_REPLY: [u8; 8] = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
-
 /// What the transport wants goes first, at this time.
 fn status_goes_first(master: &mut Master<4>, at: Instant) {
     assert!(master.poll_transmit(at).is_some());

@@ -2,44 +2,36 @@
 
 use super::*;
 
-const STATUS_REPLY: Data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
-
-/// A loop sends one frame at each of its looks, and the motor answers each this long after it. Returns how often it was
-/// sent something until the first event, and that event.
+/// A loop looks every 160 ms, and sends one frame then. The motor answers each of these sendings this long after it, or
+/// its answer is lost. Returns how often it was sent something until the first event, and that event.
 fn until_reported(
     master: &mut Master<2>,
     from: u64,
-    look_every: usize,
-    answers_after: Duration,
+    answers_after: impl Fn(usize) -> Option<Duration>,
 ) -> (usize, Event) {
-    for (sendings, now) in (from..from + 60_000).step_by(look_every).map(ms).enumerate() {
+    for (sendings, now) in (from..from + 60_000).step_by(160).map(ms).enumerate() {
         if let [event] = events(master, now)[..] {
             return (sendings, event);
         }
         let packet = master.poll_transmit(now).expect("it is to be sent");
         master.handle_transmitted(now);
-        if let Some(event) = reply(master, 1, packet.data, now + answers_after) {
+        let answer = answers_after(sendings + 1);
+        if let Some(event) = answer.and_then(|it| reply(master, 1, packet.data, now + it)) {
             return (sendings + 1, event);
         }
     }
     panic!("it is sent for ever")
 }
 
-/// Motor 1 is asked at these times, and answers a millisecond later.
-fn answers<const N: usize>(master: &mut Master<N>, times: impl IntoIterator<Item = u64>) {
-    for now in times {
-        let _ = ask(master, 1, ReadStatus1, ms(now));
-        reply(master, 1, STATUS_REPLY, ms(now + 1)).unwrap();
-    }
-}
+const SOON: Option<Duration> = Some(Duration::from_micros(700));
 
-/// A loop that gets to each motor every 160 ms. After each such pause its drive may have lost its master.
+/// After each such pause its drive may have lost its master.
 #[test]
 fn hold_with_a_pause_before_each_sending_is_given_up() {
     let mut master = Master::new(Config::CAN);
     answers(&mut master, [1, 3, 5]);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let reported = until_reported(&mut master, 200, 160, Duration::from_micros(700));
+    let reported = until_reported(&mut master, 200, |_| SOON);
     assert_eq!(reported, (15, Event::StopUnconfirmed { motor: id(1) }));
 }
 
@@ -48,11 +40,7 @@ fn hold_with_a_pause_before_each_sending_is_given_up() {
 fn motor_that_is_back_is_told_to_hold_until_it_obeys_for_sure() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let mut now = 0;
-    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
-        sent(&mut master, ms(now));
-        now += 1;
-    }
+    let mut now = is_given_up(&mut master, 1, 0);
     while sent(&mut master, ms(now)).is_empty() {
         now += 1;
     }
@@ -69,29 +57,21 @@ fn request_to_hold_behind_a_slow_adapter_fails_in_the_end() {
     let slow = Config { reply_timeout: Duration::from_millis(300), ..Config::CAN };
     let mut master = Master::new(slow);
     let hold = master.request_with(id(1), Stop, Patience { attempts: 1, ..once(300) }).unwrap();
-    let (sendings, failed) = until_reported(&mut master, 0, 160, Duration::from_millis(160));
+    let (sendings, failed) = until_reported(&mut master, 0, |_| Some(Duration::from_millis(160)));
     assert_eq!(sendings, 15, "as often as a stop");
     assert_eq!(hold.outcome(&failed), Some(Err(Failure::NotExecuted)));
 }
 
-/// A loop that gets to its motors every 160 ms. Each second, third, fourth or seventh answer is lost.
+/// Each second, third, fourth or seventh answer is lost.
 #[test]
 fn request_to_hold_ends_though_answers_are_lost_between() {
     for lost in [2, 3, 4, 7] {
         let mut master = Master::<2>::new(Config::CAN);
         let hold = master.request_with(id(1), Stop, Patience { attempts: 5, ..once(20) }).unwrap();
-        let (mut sendings, mut ended) = (0, None);
-        for now in (0..60_000).step_by(160).map(ms) {
-            ended = events(&mut master, now).first().copied();
-            let Some(packet) = master.poll_transmit(now).filter(|_| ended.is_none()) else { break };
-            master.handle_transmitted(now);
-            sendings += 1;
-            if sendings % lost > 0 {
-                ended = reply(&mut master, 1, packet.data, now + Duration::from_micros(700));
-            }
-        }
+        let answers = |sending: usize| SOON.filter(|_| sending % lost > 0);
+        let (sendings, ended) = until_reported(&mut master, 0, answers);
         assert!(sendings <= 16, "{lost}: {sendings}");
-        let ended = ended.and_then(|event| hold.outcome(&event));
+        let ended = hold.outcome(&ended);
         assert!(matches!(ended, Some(Err(_))), "{lost}: {ended:?}");
     }
 }

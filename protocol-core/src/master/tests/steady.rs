@@ -4,21 +4,6 @@ use super::*;
 use crate::id::Target;
 use crate::master::Presence;
 
-const STATUS_REPLY: Data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
-
-/// Motor 1 is asked at these times, and answers half a millisecond later.
-fn answers<const N: usize>(master: &mut Master<N>, times: impl IntoIterator<Item = u64>) {
-    for now in times {
-        let read = ask(master, 1, ReadStatus1, ms(now));
-        let event = reply(master, 1, STATUS_REPLY, half_past(now)).unwrap();
-        assert!(read.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
-    }
-}
-
-fn half_past(now: u64) -> Instant {
-    ms(now) + Duration::from_micros(500)
-}
-
 /// How often the motor has to answer this, which was put, until that counts. It is sent every millisecond.
 fn answers_until<const N: usize>(
     master: &mut Master<N>,
